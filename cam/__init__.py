@@ -1,1 +1,1 @@
-"""From a heightfield to milling programs, and the removal they cause. Knows no port and no HTTP."""
+"""Computes milling programs from a heightfield, and simulates their removal. Knows no port and no HTTP."""

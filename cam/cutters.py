@@ -1,8 +1,8 @@
 """Shapes of end mills as numbers: a flat disc with a rounded corner, between a flat end mill and a ball.
 
 The underside of such a cutter rises from its tip as a quarter of a circle of the corner's radius, beyond the flat part.
-A shape says where stock is taken off. A flat cutter only roughs the block (`cam.surface.tool_surface`): a lens is made
-by balls (`cam.surface.contact`).
+A shape determines where stock is removed. A flat cutter only roughs the block (`cam.surface.tool_surface`); balls make
+the lens (`cam.surface.contact`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class CutterShape:
 
     name         : as a job says it, and "... end mill" in what a person reads
     corner_share : of the radius that is the corner's: 0 for a flat end mill, 1 for a ball
-    pitch_share  : of the radius that rows stand apart where a job does not say
+    pitch_share  : default distance of rows, in radii
     """
 
     name: str
@@ -32,7 +32,7 @@ class CutterShape:
         return radius_mm - self.corner_mm(radius_mm)
 
     def widest_pitch_mm(self, radius_mm: float) -> float:
-        """Return the distance at which rows still overlap: of a ball half its width."""
+        """Return the largest distance at which rows overlap: for a ball, half its width."""
         return 2 * self.flat_mm(radius_mm) + self.corner_mm(radius_mm)
 
     def cusp_mm(self, radius_mm: float, pitch_mm: float) -> float:

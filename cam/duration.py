@@ -20,7 +20,7 @@ from numba import njit
 
 from optics.heightfield import Array
 
-_STRAIGHT = 0.999999  # GRBL 1.1 treats corners this straight as none, and reversals this sharp as full stops
+_STRAIGHT = 0.999999  # GRBL 1.1 treats corners this straight as no corner, and reversals this sharp as full stops
 # Columns of a planned block.
 _LENGTH, _NOMINAL2, _ACCEL, _ENTRY2, _PAUSE, _LINES, _BYTES = range(7)
 _COLUMNS = 7
@@ -28,7 +28,7 @@ _NOTHING = np.empty(0)
 
 
 class Moves(Protocol):
-    """What the model needs of a batch: a cam.reading.gcode.MoveBatch, or anything laid out like it.
+    """The part of a batch that the model uses: a cam.reading.gcode.MoveBatch, or anything with the same fields.
 
     A batch may also have `sent_bytes` (n,): bytes on the wire from the program's start up to and including the line.
     """
@@ -48,7 +48,7 @@ class Moves(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kinematics:
-    """What a mill's axes and its controller can do.
+    """Limits of a mill's axes and its controller.
 
     planner_blocks : slots of the look-ahead buffer, one of which is always free (GRBL 1.1: 16)
     lines_per_s    : lines the link and the parser deliver
@@ -237,16 +237,16 @@ class DurationModel:
 
     @property
     def starved_s(self) -> float:
-        """Time of that in which the mill has nothing to do, as the link has not brought the next line."""
+        """The part of that time in which the mill waits because the link has not delivered the next line."""
         return float(self._to_the_end()[0][4])
 
     def list_waiting_s(self) -> Array:
-        """Return the ends of the blocks that `add_batch` has not given yet, if the program ended here."""
+        """Return the ends of the blocks that `add_batch` has not returned yet, if the program ended here."""
         return self._to_the_end()[1]
 
     @property
     def seconds(self) -> float:
-        """Time until the mill stands still, if the program ended here."""
+        """Time until the mill stands still if the program ended here."""
         return float(self._to_the_end()[0][1])
 
     def _to_the_end(self) -> tuple[Array, Array]:
@@ -257,5 +257,5 @@ class DurationModel:
 
 
 def is_block(batch: Moves) -> np.ndarray:
-    """Return (n,) which moves of a batch make the planner do something: all but those that go nowhere."""
+    """Return (n,) whether each move of a batch makes a block in the planner: all but those of no length."""
     return (np.diff(batch.points_mm, axis=0) != 0.0).any(axis=1) | (batch.pause_s >= 0.0)

@@ -1,4 +1,4 @@
-"""What can go wrong between a heightfield and a program. Every error carries its numbers as attributes."""
+"""Errors between a heightfield and a program. Every error carries its numbers as attributes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Where to start with speeds and feeds, as data with its sources. Start values to expose, never limits.
+"""Starting values for speeds and feeds, as data with its sources. They are offered to the user and never used as
+limits.
 
 A job's own index of refraction is `optics.refractive_index` in `service/job/spec/optics`; it starts from that here.
 """
@@ -14,10 +15,11 @@ from phrases.phrase import Phrase
 
 SLOT_FEED = 0.5
 """Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
-on the way from row to row and along the walls it may."""
+between rows and along walls it may.
+"""
 
 SPINDLE_SHARE = 0.5
-"""Of a spindle's power that is left at the edge, at a guess."""
+"""Share of a spindle's power that reaches the cutting edge; a guess."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,17 +44,17 @@ class CuttingData:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """What bends the light, and cutting data for a few radii, ascending; between them the numbers are interpolated.
+    """Optical data, and cutting data for a few radii, ascending; between them the numbers are interpolated.
 
     name  : as a job says it
     label : as a person reads it
     block : what to buy, as the set-up sheet says it
     refractive_index  : of white light, as an eye weighs it; a job may give one of its own
-    index_spread      : how far that of one sheet may lie from it; None: not known
+    index_spread      : how far the index of one sheet may differ from it; None: not known
     dispersion        : n_F - n_C; None: not known, and all colours count as one
     haze              : share of the light that it scatters more than 2.5 degrees (ASTM D1003); None: not known
     density_g_per_cm3 : turns the weight that a finish takes off into a depth
-    cutting_j_per_mm3 : what taking it off asks of the spindle
+    cutting_j_per_mm3 : the spindle's work per volume removed
     """
 
     name: str
@@ -69,7 +71,7 @@ class Material:
     cutting_j_per_mm3: float = 0.5  # a guess: plastics take 0.1 in chips of 1 mm, several times that in thin ones
 
     def removal_mm3_per_min(self, spindle_w: float) -> float:
-        """Return the most that a spindle of that power takes off."""
+        """Return the largest removal rate of a spindle of that power."""
         return 60 * SPINDLE_SHARE * spindle_w / self.cutting_j_per_mm3
 
     def start_values(self, radius_mm: float) -> CuttingData:
@@ -87,7 +89,7 @@ class Material:
 def limit_step_down_mm(
     step_down_mm: float, pitch_mm: float, feed_mm_per_min: float, *, removal_mm3_per_min: float
 ) -> float:
-    """Return the step-down, or a smaller one in whole hundredths at which rows take off no more than that.
+    """Return the step-down, or a smaller one in whole hundredths at which rows keep within that removal rate.
 
     Shallower layers, not a slower feed: chips that become too thin rub and melt.
     """

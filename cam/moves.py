@@ -1,4 +1,4 @@
-"""Moves of the tool tip: what a pass is made of before a post-processor turns it into blocks; heights of rapids."""
+"""Moves of the tool tip, which make a pass before a post-processor turns it into blocks; and heights of rapids."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 SAFE_Z_MM = 5.0
-"""Where rapids go across the block, if a caller names nothing else; jobs name their mill's, in machines/profiles."""
+"""Default height of rapids across the block; jobs use their mill's, from machines/profiles."""
 
 RAPID_CLEARANCE_MM = 1.0
-"""Above the stock as it is known, and never under the top of the block, where a rapid straight down ends."""
+"""Height above the known stock, and never below the top of the block, at which a rapid straight down ends."""
 
 CLEARANCE_MM = 0.1
-"""Above the stock as it is known, where feeding straight down ends."""
+"""Height above the known stock at which feeding straight down ends."""
 
 
 class Motion(Enum):
@@ -29,7 +29,7 @@ class Motion(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Path:
-    """Straight moves of the tool TIP, from wherever it stands to each point in turn.
+    """Straight moves of the tool TIP from its present place to each point in turn.
 
     points_mm            : (n, 3) in the work frame, read-only
     feed_mm_per_min      : of a CUT; None for a RAPID

@@ -1,4 +1,4 @@
-"""One pass as several programs: each is whole in itself, and goes on exactly where the one before has ended.
+"""Splits one pass into several programs: each is complete, and continues exactly where the one before ended.
 
 Theory of operation: paths are written in slices; where a program has grown to its limit it ends, first choice at a lift
 that is there anyway, second choice outside the aperture, where no light goes, else where it stands. The tool lifts
@@ -24,21 +24,21 @@ from cam.posts.writers import create_writer
 from cam.rows.entries import RAMP_SLOPE, leave
 
 OVERLAP_MM = 1.0
-"""Of the path, cut once more after an entry in its midst."""
+"""Length of the path that is cut again after an entry in the middle."""
 
 AT_LIFT, OUTSIDE = 0.85, 0.93
 """Share of its limit from which a program may end at a lift, and outside the aperture."""
 
-_SPARE_BYTES = 400  # the lift and the end
-_SPARE_SHARE = 0.03  # and the slice that is being written
-_FEWEST_POINTS, _FEW_POINTS, _MOST_POINTS = 10, 100, 1 << 20  # written before the limits are looked at again
+_SPARE_BYTES = 400  # for the lift and the end
+_SPARE_SHARE = 0.03  # and for the slice that is being written
+_FEWEST_POINTS, _FEW_POINTS, _MOST_POINTS = 10, 100, 1 << 20  # written between two checks of the limits
 _BYTES_PER_POINT = 48
 _RECENT_MM = OVERLAP_MM + CLEARANCE_MM / RAMP_SLOPE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartLimits:
-    """The most that one program may hold. rapid_mm_per_min: to reckon the time of rapids; cuts run at their feed."""
+    """The most that one program may hold. rapid_mm_per_min: for the time of rapids; cuts run at their feed."""
 
     most_bytes: float = math.inf
     most_s: float = math.inf
@@ -49,14 +49,14 @@ class PartLimits:
         return not (math.isinf(self.most_bytes) and math.isinf(self.most_s))
 
     def points_at_once(self) -> int:
-        """Return so few points that a program near its limit cannot outgrow it between two looks at it."""
+        """Return a number of points small enough that a program near its limit cannot exceed it between two checks."""
         room = 0.01 * self.most_bytes / _BYTES_PER_POINT
         return int(min(max(room, _FEWEST_POINTS), _FEW_POINTS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassFrame:
-    """What all programs of a pass begin and end with. aperture_mm: width and height of the lens.
+    """The common beginning and end of all programs of a pass. aperture_mm: width and height of the lens.
 
     trace : paths in the air before the first cut; they, and the warm-up of `setup`, are for the first program alone
     """
@@ -118,7 +118,7 @@ def _outside(place: Array, frame: PassFrame) -> bool:
 
 
 def _way_back(source: _Slices, frame: PassFrame) -> Iterator[Path]:
-    """Yield paths to where the tool stood: aloft, or down onto the path cut last and along it to its end."""
+    """Yield paths back to the tool's last position: aloft, or down onto the last path and along it to its end."""
     recent = source.recent()
     if recent is None:
         if not source.begins_aloft:
@@ -142,7 +142,7 @@ def _way_back(source: _Slices, frame: PassFrame) -> Iterator[Path]:
 
 
 class _Meter:
-    """How much of its limits a program has used."""
+    """The part of its limits that a program has used."""
 
     def __init__(self, limits: PartLimits) -> None:
         self._limits = limits
@@ -157,7 +157,7 @@ class _Meter:
         self._seconds += 60 * length_mm / (path.feed_mm_per_min or self._limits.rapid_mm_per_min)
 
     def points_at_once(self) -> int:
-        """Return a quarter of what still fits until the program may end, going by what it has taken so far."""
+        """Return a quarter of the points that still fit until the program may end, estimated from those so far."""
         fits = self._points * (AT_LIFT / max(self.share, 1e-9) - 1)
         return int(min(max(fits / 4, self._limits.points_at_once()), _MOST_POINTS))
 
@@ -167,7 +167,7 @@ class _Meter:
 
 
 class _Slices:
-    """Paths in slices of a few points, and what was cut last of them; whole paths where there are no limits."""
+    """Paths in slices of a few points, and the last stretch that was cut; whole paths if there are no limits."""
 
     def __init__(self, paths: Iterable[Path], limits: PartLimits) -> None:
         self._limited = limits.any
@@ -185,7 +185,7 @@ class _Slices:
 
     @property
     def begins_aloft(self) -> bool:
-        """What comes next brings the tool to its place by itself: the very first path, or a rapid."""
+        """Whether the next path brings the tool to its place by itself: the very first path, or a rapid."""
         return bool(np.isnan(self.place[2])) or self._next is None or self._next.motion is Motion.RAPID
 
     def __iter__(self) -> Iterator[Path]:
@@ -196,7 +196,7 @@ class _Slices:
             yield path
 
     def recent(self) -> tuple[Array, float] | None:
-        """Return the last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in
+        """Return the last millimetres of the cut that the tool is in (n, 3) and their feed; None if it is not in
         one.
         """
         feed = self._recent[-1][0].feed_mm_per_min if self._recent else None
@@ -217,7 +217,7 @@ class _Slices:
                 first = end
 
     def _record(self, path: Path) -> None:
-        """Move on to the end of a path, and keep of the cuts what an entry in their midst would need."""
+        """Move on to the end of a path, and keep the last part of the cuts that an entry in the middle would need."""
         points = path.points_mm
         reach_mm = 0.0 if np.isnan(self.place[2]) else math.dist(self.place, points[0])
         self.length_mm = reach_mm + _length_mm(points)

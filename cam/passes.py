@@ -1,4 +1,4 @@
-"""Passes as data: what is cut with which ball, how closely and how fast; presets of them; and the block."""
+"""Passes as data: cutter, pitch, speeds and stock to leave; presets of them; and the block."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _require(name: str, value: float, *, above: float | None = None, at_least: f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassSpec:
-    """One pass with one end mill: a ball, or a first pass before it with one that is flat.
+    """One pass with one end mill: a ball, or a flat one for a first pass.
 
     corner_radius_mm  : 0 of a flat end mill, less than radius_mm of a bull-nose; None: a ball
     stock_to_leave_mm : measured along the surface normal
@@ -38,7 +38,7 @@ class PassSpec:
     link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13): slower,
                         but every row runs the way that climbs
     where             : everywhere, or only where the pass before could not reach (cam.rows.rest)
-    flute_length_mm   : how high the cutter cuts, from its tip; None: not stated
+    flute_length_mm   : length of the cutting edges, from the tip; None: not stated
     shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
     max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
     """
@@ -62,8 +62,9 @@ class PassSpec:
 
     @property
     def layer_mm(self) -> float:
-        """From a layer that is parallel to the lens to the next: a fifth less than the step-down: beside creases
-        and beyond the rim more may stand than cells of stock show."""
+        """Distance between layers parallel to the lens: a fifth less than the step-down, because beside creases and
+        beyond the rim there may be more stock than its cells show.
+        """
         return 0.8 * self.step_down_mm
 
     def __post_init__(self) -> None:
@@ -120,7 +121,7 @@ class PassSpec:
 
     @property
     def finishes(self) -> bool:
-        """Nothing is left: this pass makes the optical surface."""
+        """Whether no stock is left: this pass makes the optical surface."""
         return self.stock_to_leave_mm == 0
 
 

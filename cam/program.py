@@ -1,4 +1,6 @@
-"""One pass from heightfield to text: surface, layers, exact rows, blocks. A stream; nothing here opens a file."""
+"""Generates one pass from heightfield to text: surface, layers, exact rows, blocks. It streams; nothing here opens a
+file.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,12 @@ from phrases.phrase import Phrase
 Progress = Callable[[float], None]
 
 SHAPED_SLOPE_ERROR_RAD = 8e-3
-"""Of a path whose heights are shaped: a finish levels waves as short as a move. `camera` in steps of 4 um: 25.92 dB at
+"""For a path whose heights are shaped: a finish levels waves as short as a move. `camera` in steps of 4 um: 25.92 dB at
 2 mrad and at 8, with five sixths of the lines; a soft photograph in steps of 2 um: 34.21 and 34.19 dB."""
 
 CHUNK_BYTES = 1_000_000
 LEAST_REACHED = 0.9
-"""A finishing ball that touches less of the surface than this makes no lens."""
+"""Least share of the surface that a finishing ball must touch to make a lens."""
 
 
 def generate_parts(
@@ -107,7 +109,7 @@ def generate_parts(
 
 
 def _region(spec: PassSpec, stock: Stock) -> ShapedRegion:
-    """Return the aperture grown by one radius: no track leaves it."""
+    """Return the aperture grown by one radius, which no track leaves."""
     ring = spec.radius_mm
     return ShapedRegion(
         low_mm=(-ring, -ring), high_mm=(stock.width_mm + ring, stock.height_mm + ring), radius_mm=spec.radius_mm
@@ -170,7 +172,7 @@ def _paths_along_x(
     del field
     rule = _vertex_rule(heightfield, spec, slope_error_rad)
     if spec.where == "rest":
-        assert isinstance(surface, ToolSurface)  # a ball's, as PassSpec asks
+        assert isinstance(surface, ToolSurface)  # a ball's, as PassSpec requires
         most_mm = above.offset_mm + CUSP_MM if above else inf
         yield from rest_paths(
             *(RestAreas.of(stock_top, heightfield, spec), surface, met, rows, rule, spec),
@@ -179,7 +181,7 @@ def _paths_along_x(
             on_progress=lambda done: report(share + (1 - share) * done),
         )
     elif plan.exact_rows:
-        if plan.only_between:  # cusps alone stand there
+        if plan.only_between:  # only cusps stand there
             spec = replace(spec, feed_mm_per_min=float(most_feed_mm_per_min(spec, heightfield.steepest)))
         polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
         yield from _polyline_paths(polylines, met, above, CUSP_MM + plan.stair_mm, spec, safe_z_mm=safe_z_mm)
@@ -189,7 +191,7 @@ def _paths_along_x(
 def layer_paths_alone(
     heightfield: Heightfield, spec: PassSpec, stock: Stock, *, stock_top: StockGrid, safe_z_mm: float
 ) -> Iterator[Path]:
-    """Yield the layers of a pass alone, without its exact rows: nothing where no move meets more than its step-down."""
+    """Yield only the layers of a pass, without its exact rows; nothing if no move meets more than its step-down."""
     if spec.direction == "y":
         heightfield, stock, stock_top = turn_lens(heightfield), turn_block(stock), turn_stock(stock_top)
     surface = surface_under(heightfield, spec)
@@ -200,7 +202,7 @@ def layer_paths_alone(
 def _look(
     surface: Surface, stock: Stock, stock_top: StockGrid, spec: PassSpec
 ) -> tuple[StockTouch, Rows, Field, LayerPlan]:
-    """Look at what stands above the surface, and plan layers: their field has their rows alone."""
+    """Find the stock above the surface and plan layers; their field has only their own rows."""
     rows = Rows.over(stock, spec)
     met = StockTouch.of(stock_top, spec.radius_mm, spec.shape)
     if spec.where == "rest" and met.flat:
@@ -253,7 +255,7 @@ def _check_job(
 
 
 def _layer_share(field: Field, rows: Rows, plan: LayerPlan) -> float:
-    """Return the part of the work that the layers are, by rows."""
+    """Return the layers' share of the work, by rows."""
     layers = len(plan.layers) * field.rows.y_mm.size
     return layers / (layers + rows.y_mm.size * plan.exact_rows)
 
@@ -285,9 +287,9 @@ def _all_layers(
 def _polylines(
     heightfield: Heightfield, surface: Surface, rows: Rows, rule: VertexRule, spec: PassSpec, report: Progress
 ) -> Iterator[Array]:
-    """Yield the exact surface: pieces of one path, or rows each by itself."""
+    """Yield the exact surface: pieces of one path, or separate rows."""
     if spec.strategy == "contour":
-        assert isinstance(surface, ToolSurface)  # a ball's, as PassSpec asks
+        assert isinstance(surface, ToolSurface)  # a ball's, as PassSpec requires
         yield from contour_path(heightfield, surface, spec, rule, on_progress=report)
         return
     if isinstance(surface, RoughSurface):
@@ -311,7 +313,7 @@ def _polyline_paths(
     *,
     safe_z_mm: float,
 ) -> Iterator[Path]:
-    """Yield one unbroken path, or rows each entered and left by itself."""
+    """Yield one unbroken path, or rows that are each entered and left separately."""
 
     def meets(tips_mm: Array) -> Array:
         heights = met.under(tips_mm) + met.slack_mm

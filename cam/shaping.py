@@ -1,19 +1,19 @@
-"""Heights on a mill's steps for a lens that will be finished: each error is made good by the tracks after it.
+"""Rounds heights to a mill's steps for a lens that will be finished: later tracks compensate for each error.
 
-Sanding or polishing is a low pass on heights. What rounding leaves must therefore be high in frequency, not small: an
-axis can only stand on whole steps, so where the lens is nearly level all tracks step at the same place and leave a
-terrace a step high and as wide as a step over the slope, which no finish removes. As in a delta-sigma converter the
-error of each track is remembered and the next ones aim as much higher or lower, so that their mean is right and what is
-wrong alternates from track to track. Nothing has to be known of their order, so rows and contours are served alike.
+Sanding or polishing is a low pass on heights. Rounding errors must therefore be high in frequency, not small: an axis
+can only stand on whole steps, so where the lens is nearly level all tracks step at the same place and leave a terrace,
+one step high and as wide as a step over the slope, which no finish removes. As in a delta-sigma converter, the error of
+each track is stored and the next tracks aim higher or lower by it, so that their mean is right and the error alternates
+from track to track. The order of the tracks does not matter, so this works for rows and contours alike.
 
 Memory: a plane of cells that keep error times length, read with a Gaussian that is wide across the track and narrow
-along it. Written there is what the axis does, a whole step at a time within a move, too (`Tracks` leaves that out: of a
-lens as milled it is slopes alone that count, see `as_milled.stepping`, of a finished one heights). And what the ball
-does: of two tracks p apart and d different in height the higher one loses R d^2 / 2p of its volume to the lower one,
-all but a ridge when d is above p^2 / 2R. So a track that stands out of its neighbours counts for less, which is looked
-up in a second plane, of the error of the last track at each place.
+along it. The errors include the axis's whole steps within a move (`Tracks` omits these: for a lens as milled only
+slopes matter, see `as_milled.stepping`; for a finished one, heights). They also include the effect of the ball: of two
+tracks at distance p and height difference d, the higher one loses R d^2 / 2p of its volume to the lower one, and all
+but a ridge if d is above p^2 / 2R. So a track that is higher than its neighbours counts less; a second plane, with the
+error of the last track at each place, serves to compute that.
 
-A track is at most a step below the lens: half a step by its aim, half by rounding. Memory grows with the region, not
+A track is at most one step below the lens: half a step by its aim, half by rounding. Memory grows with the region, not
 with the path.
 """
 
@@ -39,16 +39,16 @@ ACROSS_MM, ALONG_MM = 0.25, 0.15
 
 CELL_MM = 0.1
 LONGEST_MM = 0.15
-"""Of a move before vertices are chosen: on a plane lens moves of a millimetre leave no place to step at."""
+"""Longest move before vertices are chosen: on a flat lens, moves of a millimetre leave no places for steps."""
 
-_DETAIL_MM = 0.1  # two errors this near along a track are as bad as none: what a vertex's height weighs against slope
-_SAMPLE_MM = 0.02  # of a track, when its error is written down
+_DETAIL_MM = 0.1  # two errors this close along a track cancel: sets the weight of a vertex's height against its slope
+_SAMPLE_MM = 0.02  # spacing along a track at which its error is stored
 _FARTHEST = 2.2  # sigmas
 _PER_SQUARE = 512  # entries of the Gaussian, for each square of a sigma
 _GAUSSIAN = np.exp(-0.5 * (np.arange(math.ceil(_FARTHEST**2) * _PER_SQUARE) + 0.5) / _PER_SQUARE)
 _NEIGHBOUR_CELL_MM = 0.035
-_CELLS_ASIDE = math.sqrt(2.0)  # so far aside another cell begins, in any direction
-_TURN_RAD = math.pi / 4  # a track that has turned so far may soon lie beside itself
+_CELLS_ASIDE = math.sqrt(2.0)  # at this distance sideways, another cell begins in any direction
+_TURN_RAD = math.pi / 4  # a track that has turned this far may soon run beside itself
 _MOST_AT_ONCE = 1024
 _UNKNOWN = 1e9
 
@@ -63,11 +63,11 @@ class ShapedRegion:
 
 
 class ErrorMemory(NamedTuple):
-    """What kernels need.
+    """The memory in the form of the kernels.
 
     owed (ny, nx)  : error of height times length of track, by cells of CELL_MM from (x0, y0) [mm^2]
     last (my, mx)  : error of the last track in each cell of `beside / sqrt 2` [mm]; _UNKNOWN where none has been
-    beside, hidden : how far aside the neighbouring track is looked up; p^2 / 2R [mm]
+    beside, hidden : sideways distance at which the neighbouring track is looked up; p^2 / 2R [mm]
     step           : of Z [mm]
     """
 
@@ -97,9 +97,7 @@ class ErrorMemory(NamedTuple):
 
 
 def shape_heights(paths: Iterable[Path], rounding: Rounding, region: ShapedRegion) -> Iterator[Path]:
-    """Yield the same cuts with every vertex on the raster and errors that a finish takes off; rapids as in
-    `on_raster`.
-    """
+    """Yield the same cuts with every vertex on the raster and errors that a finish removes; rapids as `on_raster`."""
     return on_raster(paths, rounding, partial(_place, ErrorMemory.over(region, rounding), rounding))
 
 
@@ -111,8 +109,9 @@ def _place(memory: ErrorMemory, rounding: Rounding, line: Array, start: Array) -
 
 
 def _divide(line: Array, shortest_mm: float) -> Array:
-    """Divide the line (n, 3) into moves of LONGEST_MM at most, no points nearer to one another than the raster can
-    state: between two such the aim may jump, and the height of a place that is rounded past both be anything.
+    """Divide the line (n, 3) into moves of at most LONGEST_MM, with no points closer together than the raster can
+    state: between two such points the aim may jump, and the height of a place that is rounded past both would be
+    undefined.
     """
     kept = np.zeros(len(line), dtype=np.bool_)
     _keep_apart(line, shortest_mm, kept)
@@ -156,7 +155,7 @@ def _error_owed(m, x, y, ux, uy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _take_error(m, error, x, y, ux, uy):  # type: ignore[no-untyped-def]
-    """Return what a track's error counts for after what it and its neighbours cut off one another; it is the last
+    """Return the effective error of a track after the mutual cutting with its neighbours; store it as the last one
     here.
     """
     cell = m.beside / _CELLS_ASIDE
@@ -175,7 +174,7 @@ def _take_error(m, error, x, y, ux, uy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _remember(m, line, made, count):  # type: ignore[no-untyped-def]
-    """Write down the errors of a line (n, 3) that was made as `count` vertices (n, 4), the first at its beginning."""
+    """Store the errors of a line (n, 3) that was made as `count` vertices (n, 4), the first at its beginning."""
     k, begin, way = 0, 0.0, 0.5 * _SAMPLE_MM
     for i in range(line.shape[0] - 1):
         dx, dy = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
@@ -212,7 +211,7 @@ def _place_nearest(line, xy_mm, z_mm, out):  # type: ignore[no-untyped-def]
 def _follow(m, line, start, xy_mm, aside_mm, out):  # type: ignore[no-untyped-def]
     """Write vertices of line (n, 3) after its first point, which stands at start, into out (n, 4); return their number.
 
-    Piece by piece, so that a track that turns back finds in the memory what it has done before.
+    It works piece by piece, so that a track that turns back finds its own earlier errors in the memory.
     """
     n, count, first = line.shape[0], 0, 0
     aim, made = np.empty((_MOST_AT_ONCE + 1, 3)), np.empty((_MOST_AT_ONCE + 2, 4))

@@ -1,4 +1,4 @@
-"""End mills of a shop, as data: what each is, how fast it runs on a mill, and where it may go."""
+"""The end mills of a shop as data: dimensions, speeds on a mill, and how deep each may cut."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cam.passes import Direction, PassSpec, Strategy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tool:
-    """An end mill: a ball, or one that is flat, which roughs alone.
+    """An end mill: a ball, or a flat one, which only roughs.
 
-    flute_length_mm : how high it cuts, from its tip
+    flute_length_mm : length of the cutting edges, from the tip
     shank_radius_mm : of what is above the flutes
     stick_out_mm    : from its tip to the chuck
     max_rpm         : fastest speed its maker allows
-    cost_class      : 1 cheap, 2 usual, 3 dear; of two that do as well the cheaper is taken
+    cost_class      : 1 cheap, 2 usual, 3 dear; of two equally good ones the cheaper is taken
     corner_radius_mm : 0 of a flat end mill, less than radius_mm of a bull-nose; None: a ball
     """
 
@@ -60,7 +60,8 @@ class Speeds:
         spindle_rpm: tuple[float, float],
         max_rate_mm_per_min: tuple[float, float, float],
     ) -> Speeds:
-        """Return the material's start values within reach of tool and mill; feeds go with speed and number of flutes.
+        """Return the material's start values within the limits of tool and mill; feeds are proportional to speed and
+        number of flutes.
 
         spindle_rpm         : slowest and fastest of the mill
         max_rate_mm_per_min : of its axes X, Y, Z
@@ -77,7 +78,7 @@ class Speeds:
 
 
 def contact_speed_m_per_min(radius_mm: float, spindle_rpm: float, slope: float) -> float:
-    """Return the speed of the cutting edge where a ball touches a surface of that slope; none at its tip."""
+    """Return the speed of the cutting edge where a ball touches a surface of that slope; 0 at the tip."""
     return 2 * pi * spindle_rpm * radius_mm * slope / sqrt(1 + slope * slope) / 1000
 
 

@@ -1,4 +1,4 @@
-"""Draws what finished jobs of one picture show on the wall, each with its cost, and the first one's lens.
+"""Draws the light of several finished jobs of one picture on the wall, each with its cost, and the lens of the first.
 
 python docs/draw_result.py out/demo out/demo-paper docs/result.jpg
 """
@@ -38,7 +38,7 @@ def main(jobs: list[Path], output: Path) -> None:
 
 
 def show_wall(job: Path) -> tuple[Image.Image, str]:
-    """Return the light of a job as it will be seen, and what it costs."""
+    """Return the light of a job as it will be seen, and its cost."""
     report, spec = (json.loads((job / name).read_text()) for name in ("report.json", "spec.json"))
     seen = "as_finished" if report.get("as_finished") else "as_milled"
     hours = f"{duration(sum(row['time_s'] for row in report['passes']))} of milling"

@@ -30,7 +30,7 @@ TEMPLATES = TOP / "service/job/report/templates"
 PLACEHOLDER = re.compile(r"\{\w+\}")
 _STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
 _QUOTED = re.compile(r""""(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*'""")
-# What is the same in every language.
+# Text that is the same in every language.
 SAME = re.compile(
     r"causticmill|grbl|CSV|G-code|XXXX-XXXX-XXXX|G0 X0 Y0|\b[XYZR]\d*\b|\b[XY]0\b|[←→] [XY]|[↑↓] [XYZ]|\bG0[58](?:\.1)?"
     r"|\bG5[4-9]\b"
@@ -58,7 +58,7 @@ def keys_in(source: str) -> Iterator[str]:
 
 
 def _template(source: str, at: int) -> tuple[str, int]:
-    """Return the text of a template from behind its first backtick, and where it ends."""
+    """Return the text of a template that begins behind a backtick, and the place of its end."""
     text, number = "", 0
     while source[at] != "`":
         if source.startswith("${", at):
@@ -122,7 +122,7 @@ def _words_of(table: dict[str, Any], schema: dict[str, Any]) -> Iterator[str | N
 
 
 def _resolve(field: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
-    """Return what a reference stands for, and of "this or nothing" this."""
+    """Resolve a reference; of "this or nothing", return this."""
     one = next((one for one in field.get("anyOf", ()) if one.get("type") != "null"), field)
     found: dict[str, Any] = schema["$defs"][one["$ref"].rpartition("/")[2]] if "$ref" in one else one
     return found

@@ -1,4 +1,4 @@
-"""Puts what goes out with a release beside its wheel:  python -m docs.release FOLDER SITE
+"""Puts the other files of a release beside its wheel:  python -m docs.release FOLDER SITE
 
 The changelog, the documents as a site, the software bill of materials of the lock (CycloneDX 1.6), and the hashes of
 all files in the folder.
@@ -20,7 +20,7 @@ TOP = Path(__file__).parents[1]
 LOCK = TOP / "requirements.lock"
 _PINNED = re.compile(r"^([\w.-]+)(?:\[[\w,-]+\])?==(\S+)(?: ; (.+?))?(?: \\)?$")
 _HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})")
-_BEGIN = (1980, 1, 1, 0, 0, 0)  # of the time that an archive can state
+_BEGIN = (1980, 1, 1, 0, 0, 0)  # the earliest time that an archive can state
 
 
 def main(folder: Path, site: Path) -> None:
@@ -37,8 +37,9 @@ def main(folder: Path, site: Path) -> None:
 
 
 def bill_of_materials(lock: str) -> dict[str, Any]:
-    """Return the packages of a lock with their versions, where they are for some platforms only, and the hashes of the
-    files that may be installed."""
+    """Return the packages of a lock: versions, restrictions to platforms, and the hashes of the files that may be
+    installed.
+    """
     return {"bomFormat": "CycloneDX", "specVersion": "1.6", "version": 1, "components": list(_components(lock))}
 
 

@@ -4,8 +4,8 @@ May we still act? An order's age, a grant, a lease that we hold: `suspend_aware_
 process was paused or the computer slept: an order from before is old, and others may have taken over.
 
 Has somebody else failed? A disk, a controller, a link, a thread, a child: `RunningTime`, and `Timeout` over it. It
-counts only time in which this process looked. While we were stopped (SIGSTOP, a frozen container, a suspended laptop, a
-starved host) we could not have seen the sign that we waited for, so that time counts against nobody.
+counts only time in which this process was looking. While we were stopped (SIGSTOP, a frozen container, a suspended
+laptop, a starved host) we could not have seen the sign that we waited for, so that time counts against nobody.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-LOOK_S = 0.25  # five times what lies between two looks of a computer that is not busy
-TURN_S = 1.0  # four times what the owner of a port waits for input at most
+LOOK_S = 0.25  # five times the interval between two looks of a computer that is not busy
+TURN_S = 1.0  # four times the longest wait of a port's owner for input
 
 
 def suspend_aware_clock_s() -> float:
@@ -27,7 +27,7 @@ class RunningTime:
 
     most_s  : more than lies between two looks of a healthy loop, and less than any limit held against this time, so
               that nobody is blamed at the first look after a pause
-    spent_s : only goes on
+    spent_s : never decreases
     """
 
     __slots__ = ("_looked_at_s", "_most_s", "spent_s")
@@ -53,7 +53,7 @@ def make_running_clock(clock: Callable[[], float] = time.monotonic, *, most_s: f
 class Timeout:
     """A limit to how long somebody else may give no sign, in running time. Read it in every turn of the wait.
 
-    most_s : as in `RunningTime`; half the limit where that is shorter: one look never is enough
+    most_s : as in `RunningTime`; half the limit if that is shorter, so that one look is never enough
     """
 
     __slots__ = ("_begun_s", "_clock", "_running", "seconds")
@@ -65,7 +65,7 @@ class Timeout:
         self._begun_s = 0.0
 
     def restart(self) -> None:
-        """Begin to wait anew: a sign has come."""
+        """Restart the wait: a sign has come."""
         self._begun_s = self._running.look(self._clock())
 
     @property

@@ -1,4 +1,4 @@
-"""The one interface of all drivers: what they ask of a mill's controller, what it reports, and how its link works.
+"""The common interface of all drivers: commands to a mill's controller, its reports, and facts about its link.
 
 A driver is owned by one thread, which calls `poll` in a loop; every other call comes from the same thread. Time is
 the driver's clock in seconds (injected), so that a simulated mill can run in simulated time.
@@ -30,7 +30,7 @@ class ProgramLine:
 
 
 class MillState(Enum):
-    """What the machine does, as far as the driver knows. One word per thing for all drivers."""
+    """The state of the machine, as far as the driver knows. All drivers use the same words."""
 
     DISCONNECTED = "disconnected"
     CONNECTING = "connecting"
@@ -70,7 +70,7 @@ _STATE_WORDS = {
 
 
 class FaultCause(Enum):
-    """The first sign by which a fault showed itself."""
+    """The first sign of a fault."""
 
     ERROR_REPLY = "error reply"
     ALARM = "alarm"
@@ -107,13 +107,13 @@ _CAUSE_WORDS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriverFacts:
-    """How a kind of link works, in words for the setup sheet and the operator.
+    """Facts about a kind of link, in words for the setup sheet and the operator.
 
-    capacity        : what bounds the bytes under way, e.g. "counted bytes, at most 128 (RX size from $I)"
+    capacity        : the limit of the bytes under way, e.g. "counted bytes, at most 128 (RX size from $I)"
     acknowledgement : what an answer means, e.g. "ok = parsed and queued, up to 17 blocks before it is executed"
     stop            : what stops motion, e.g. "feed hold '!' at once; reset only from Hold"
     position        : where positions come from, e.g. "status report, 5 per second"
-    tried_on        : plainly, what this driver has been run against
+    tried_on        : the controllers with which this driver has been run
     """
 
     kind: str
@@ -126,11 +126,11 @@ class DriverFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MillStatus:
-    """The latest status of the mill. Positions in mm; None where the link does not report them.
+    """The latest status of the mill. Positions in mm; None if the link does not report them.
 
-    position_trusted : machine coordinates still mean what they meant at homing or zero-setting
+    position_trusted : machine coordinates are the same as at homing or zero-setting
     overrides        : feed, rapid, spindle in percent
-    complete         : every field that the link reports only now and then has come since it was opened
+    complete         : every field that the link reports only at intervals has come since it was opened
     """
 
     state: MillState = MillState.DISCONNECTED
@@ -159,7 +159,7 @@ class StreamProgress:
     sent_line       : last line written to the link
     answered_line   : last line the controller has answered (taken into its buffers)
     executed_line   : every line up to this one has certainly been cut: the position proved it, or the buffers are too
-                      small to hold it still. Resuming at executed_line + 1 skips nothing
+    small to hold it any longer. Resuming at executed_line + 1 skips nothing
     """
 
     sent_line: int = 0
@@ -230,7 +230,7 @@ class CommandDone:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something the controller said that the operator should see ([MSG:...], unknown lines)."""
+    """A message of the controller for the operator ([MSG:...], unknown lines)."""
 
     words: Phrase
 
@@ -240,7 +240,7 @@ Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | FrameChange
 
 @dataclass(slots=True)
 class StatusChannel:
-    """What a driver reports: the latest status and progress, and the events since they were taken last."""
+    """The reports of a driver: the latest status and progress, and the events since they were last taken."""
 
     status: MillStatus = field(default_factory=MillStatus)
     progress: StreamProgress = field(default_factory=StreamProgress)
@@ -251,7 +251,7 @@ class StatusChannel:
         self.status = replace(self.status, **fields)
 
     def enter(self, state: MillState, detail: Phrase) -> None:
-        """Change the state; add an event where it is another."""
+        """Change the state; add an event if it is different."""
         if state is not self.status.state:
             self.events.append(StateChanged(self.status.state, state))
         self.update(state=state, detail=detail)
@@ -265,7 +265,7 @@ class StatusChannel:
         return events
 
 
-# Commands: what an operator can ask for beside the stream.
+# Commands: what an operator can order outside the stream.
 @dataclass(frozen=True, slots=True)
 class Home:
     """Homing cycle ($H)."""
@@ -328,7 +328,7 @@ class ProbeCorner:
     plate_mm         : thickness of the plate, over the block: Z0 is the block's top
     wall_x_mm        : from the block's left edge out to the face that is touched from the left
     wall_y_mm        : from its front edge out to the face that is touched from the front
-    cutter_radius_mm : of what touches, where it touches
+    cutter_radius_mm : of the tool, at the height where it touches
     margin_mm        : X0 Y0 lies so far inside the block's left and front edges
     aside_mm         : left, then forward of the start, where the tool goes down; probed back at most
     below_mm         : under the plate's top, where its sides are touched
@@ -393,7 +393,7 @@ Command = (
 
 
 Require = Callable[[], None]
-"""Raises MachineError where an order may not be carried out any more.
+"""Raises MachineError if an order may not be carried out any more.
 
 A driver calls it when everything else is done and only the write of the order's first bytes is left: no disk, no lock,
 no wait comes between. It calls it once more after the write, and holds the mill where a stop came in that moment.
@@ -401,7 +401,7 @@ no wait comes between. It calls it once more after the write, and holds the mill
 
 
 def allow_always() -> None:
-    """Raise nothing: the order moves nothing, or a person at the mill's own terminal has given it."""
+    """Raise nothing: the order moves nothing, or a person at the mill's own terminal gave it."""
 
 
 class Driver(Protocol):
@@ -423,7 +423,7 @@ class Driver(Protocol):
     def progress(self) -> StreamProgress: ...
     @property
     def protections(self) -> tuple[str, ...]:
-        """Which link protection is active now, in words; never more than is true."""
+        """The link protections that are active now, in words; never overstated."""
         ...
 
     def connect(self) -> None:
@@ -438,7 +438,7 @@ class Driver(Protocol):
     def urge(self, stop: str) -> bool:
         """Write what stops motion ("hold", "abort", "jog-cancel") to the link at once, from any thread.
 
-        False where the link has no byte for it or does not take it now. The owner's own call follows in any case.
+        False if the link has no byte for it or does not take it now. The owner's own call follows in any case.
         """
         ...
 

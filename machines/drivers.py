@@ -1,4 +1,4 @@
-"""From a machine's profile and a port to the driver that talks to it."""
+"""Opens the driver for a machine's profile and a port."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from phrases.phrase import Phrase
 
 
 def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
-    """Open the link of this machine; `connect` is left to the caller. MachineError: one line that says why not."""
+    """Open the link of this machine; the caller calls `connect`. MachineError: one line with the reason."""
     kind = profile.link.driver
     url = port_url or profile.link.port
     if kind == "none":

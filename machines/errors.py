@@ -1,9 +1,9 @@
-"""What can be wrong between a program and a mill. Every message is one line: the thing, the value, the way out.
+"""Errors between a program and a mill. Every message is one line: the thing, the value, the remedy.
 
-`MillCode` is what a mill says and refuses, for programs: a closed list, beside `Refusal`, `Stop` and `FaultCause`. A
-code comes with values and with words. The words are for terminals and for people who read the interface by hand; a
-program that speaks to people in its own words has a sentence for each code. A code that is gone stays readable by its
-words.
+`MillCode` lists the codes of a mill's statements and refusals, for programs: a closed list, as are `Refusal`, `Stop`
+and `FaultCause`. A code comes with values and with words. The words are for terminals and for people who read the
+interface directly; a program with its own user interface has a sentence for each code. A code that no longer exists
+stays readable by its words.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from phrases.phrase import Phrase
 
 
 class MillCode(StrEnum):
-    # Why an order was refused, or what became of it is not known.
+    # Why an order was refused, or why its outcome is not known.
     OWNER_ENDED = "owner_ended"  # reason
     OWNER_SILENT = "owner_silent"  # seconds, taken_back
     NO_BLOCK = "no_block"  # text
@@ -26,17 +26,17 @@ class MillCode(StrEnum):
     RUN_UNSTARTED = "run_unstarted"
     TRAVEL = "travel"  # detail: a line for each way in which the program leaves it
 
-    # Why a run is as it is, beside FaultCause (detail, alarm).
+    # Why a run is in its state, in addition to FaultCause (detail, alarm).
     OWNER_LOST = "owner_lost"  # state
     ABORTED = "aborted"
     TAKEN_BACK = "taken_back"
 
-    # Why a mill is as it is.
+    # Why a mill is in its state.
     LOCKED = "locked"  # alarm
     LOCKED_UNTIL_RESET = "locked_until_reset"  # alarm
     SILENT = "silent"
 
-    # What a person has to do first.
+    # Needs that a person must meet first.
     CONNECT = "connect"  # state
     WAIT = "wait"  # state
     STAND_STILL = "stand still"  # state
@@ -44,7 +44,7 @@ class MillCode(StrEnum):
     POSITION = "position"  # doubt
     ZERO = "zero"
 
-    # What has happened.
+    # Events.
     ORDER_TAKEN = "order_taken"  # order
     ORDER_REFUSED = "order_refused"  # order, and code, values and words of the refusal
     SETTINGS_READ = "settings_read"
@@ -54,7 +54,7 @@ class MillCode(StrEnum):
 
 
 class MachineError(Exception):
-    """Base of all errors of this package; `str(error)`, the same as `words`, is fit to be shown to the operator.
+    """Base of all errors of this package; `str(error)`, the same as `words`, may be shown to the operator.
 
     code, values : the same for programs; "" where no code exists. Without a code, only a phrase can be shown in
                    another language.
@@ -84,11 +84,11 @@ class PortLostError(PortError):
 
 
 class NotAControllerError(PortError):
-    """Something answers, or nothing does, but no controller of the expected kind."""
+    """Nothing answers, or something that is not a controller of the expected kind."""
 
 
 class NotAllowedError(MachineError):
-    """What was asked for is not allowed in the state the mill or the run is in; the message names both."""
+    """The request is not allowed in the present state of the mill or the run; the message names both."""
 
 
 class WrongStateError(NotAllowedError):
@@ -99,7 +99,7 @@ class WrongStateError(NotAllowedError):
 
 
 class ProgramRefusedError(MachineError):
-    """A program may not be sent. `line` counts from 1; 0 where the fault is not in one line."""
+    """A program may not be sent. `line` counts from 1; 0 if the fault is not in one line."""
 
     def __init__(self, line: int, text: str, reason: Phrase) -> None:
         where = Phrase("line {line}: '{text}': {reason}", line=line, text=text, reason=reason)

@@ -28,12 +28,14 @@ from phrases.phrase import Phrase
 
 BY_ID = Path("/dev/serial/by-id")
 READ_BYTES = 4096
-_SLICE_S = 0.02  # how often a line that cannot be selected is looked at
+_SLICE_S = 0.02  # polling interval of a line that select() does not support
 _GATHER_S = 0.005  # of the 11 ms of wire that a full receive buffer covers
 
 
 class Port(Protocol):
-    """What drivers need. `read` returns what has come, at once; b"" after the timeout; PortLostError when gone."""
+    """The interface for drivers. `read` returns received bytes at once, b"" after the timeout; PortLostError if the
+    port is gone.
+    """
 
     url: str
     wire_bytes_per_s: float | None
@@ -41,7 +43,7 @@ class Port(Protocol):
     def read(self, timeout_s: float) -> bytes: ...
     def write(self, data: bytes) -> None: ...
     def write_realtime(self, data: bytes) -> bool:
-        """Write a byte now, from any thread and without waiting; False where the line does not take it."""
+        """Write a byte now, from any thread and without waiting; False if the line does not take it."""
         ...
 
     def wake(self) -> None: ...
@@ -61,7 +63,7 @@ def stable_name(device: str) -> str:
 
 
 def port_names() -> tuple[str, ...]:
-    """List serial ports that exist here, by stable names, with what the device calls itself."""
+    """List the serial ports of this computer by stable names, with the devices' own descriptions."""
     return tuple(sorted(stable_name(str(port.device)) for port in list_ports.comports()))
 
 
@@ -161,7 +163,7 @@ def _list_ports() -> str:
 
 
 def _reason(text: str) -> str:
-    """Return what the system said, without what pyserial has wrapped around it."""
+    """Return the system's message without pyserial's additions."""
     said = re.search(r"\[Errno -?\d+\] ([^:]+)", text)
     return said.group(1).strip().lower() if said else text
 
@@ -200,10 +202,10 @@ class SerialPort:
         self._line = line
         self._gather_s = gather_s
         self._clock = make_running_clock()
-        self._woken = threading.Event()  # where the line is no file that can be selected
+        self._woken = threading.Event()  # for a line that select() does not support
         self._file = _descriptor(line)
         self._bell, self._cord = os.pipe() if self._file >= 0 else (-1, -1)
-        self._ringing = threading.Lock()  # nobody rings a descriptor that is closed and perhaps another file's by now
+        self._ringing = threading.Lock()  # a closed descriptor may be another file by now: do not write to it
         if self._file >= 0:
             os.set_blocking(self._cord, False)
 
@@ -212,7 +214,7 @@ class SerialPort:
         return self._clock()
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come; waits at most `timeout_s` for the first byte."""
+        """Return the received bytes; wait at most `timeout_s` for the first one."""
         try:
             return self._await_bytes(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
@@ -263,7 +265,7 @@ class SerialPort:
                     os.write(self._cord, b"!")
 
     def unsent_bytes(self) -> int:
-        """Return bytes that wait in the operating system; 0 where it does not say."""
+        """Return the number of bytes waiting in the operating system; 0 if it does not report that."""
         try:
             return int(getattr(self._line, "out_waiting", 0))
         except (serial.SerialException, OSError, TypeError) as error:

@@ -1,4 +1,4 @@
-"""What each mill can do and how it is linked: travel, speeds, planner, spindle, port.
+"""Machine profiles: each mill's abilities (travel, speeds, planner, spindle) and its link.
 
 Built-in profiles are machines/profiles/*.toml. A person adds machines as files of the same format in a folder of
 their own; such a file may say `extends = "grbl"` and give only what differs. File name and profile name are the same.
@@ -112,7 +112,7 @@ _ON_LOST_LINK = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpindleSettings:
-    """What becomes of the spindle while nobody cuts, each one of SPINDLE. Nothing here stops or starts it.
+    """What the spindle does while nothing is cut; each value is one of SPINDLE. Nothing here stops or starts it.
 
     on_hold      : while a program is held
     on_lost_link : when the computer, or the cable to it, is gone in the middle of a program
@@ -123,7 +123,7 @@ class SpindleSettings:
 
     @property
     def sentences(self) -> tuple[Phrase, Phrase]:
-        """The same for a person: in a hold, without a link."""
+        """The same as sentences for a person: in a hold, without a link."""
         return _ON_HOLD[self.on_hold], _ON_LOST_LINK[self.on_lost_link]
 
 
@@ -138,27 +138,27 @@ class MachineProfile:
     step_mm                : smallest move of an axis
     z_noise_mm             : sigma of the height error from one row, or one entry, to the next
     screw_error_mm         : amplitude of an axis error that repeats with every turn of the screw; None: not known
-    screw_lead_mm          : way of each axis in a turn of its screw
+    screw_lead_mm          : travel of each axis per turn of its screw
     junction_deviation_mm  : GRBL's $11, how far a corner may be rounded in the planner's model
     planner_blocks         : moves the planner looks ahead, as `$I` reports them (GRBL 1.1: 15 of its 16 slots)
     lines_per_s            : blocks the controller can take in a second
     spindle_rpm            : slowest and fastest speed
     safe_z_mm              : height above the stock top at which rapids travel
     collet_mm              : the thickest shank that the spindle takes; None: any
-    spindle_w              : its power; None: as much as is asked
-    removal_cm3_per_min    : the most that the frame stands to be taken off, in rows; None: any
+    spindle_w              : its power; None: no limit
+    removal_cm3_per_min    : largest removal rate that the frame bears, in rows; None: any
     top_z_mm               : machine Z of the raised head, where programs begin and end; None: machine coordinates mean
                              nothing, and programs begin at safe_z_mm
-    whole_steps            : heights are written in whole steps, where the light suffers least from it
+    whole_steps            : heights are written in whole steps, chosen so that the light suffers least
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
-    coolant                : what blows or runs while a program cuts, one of COOLANTS
+    coolant                : air or fluid while a program cuts, one of COOLANTS
     work_offset            : that programs work in, 1 to 6: G54 to G59, Okuma's G15 H1 to H6
     blend_tolerance_mm     : how far the control may round corners; 0: exact stop; None: as programs usually have it
-    high_precision         : which of such modes of the control programs switch on, one of HIGH_PRECISION
+    high_precision         : mode of the control that programs switch on, one of HIGH_PRECISION
     warm_up_s              : a job's first program brings the spindle up to speed in steps for so long; 0: at once
     trace_outline          : a job's first program goes around block and lens in the air before it cuts
-    spindle                : what becomes of the spindle in a hold, and without a link
+    spindle                : what the spindle does in a hold, and without a link
     homing                 : has switches and a homing cycle, so that a lost position can be found again
     description            : what it is, in words
     """
@@ -296,7 +296,7 @@ def _check_table(name: str, values: object, rules: Rules) -> dict[str, Any]:
 
 
 def _require_base(name: str, extends: object, sources: Mapping[str, str], trail: tuple[str, ...]) -> None:
-    """Raise BadValueError where `name` may not extend that."""
+    """Raise BadValueError if `name` may not extend that profile."""
     chain = (*trail, name)
     others = ", ".join(f"'{other}'" for other in sources if other not in chain)
     if extends in chain:

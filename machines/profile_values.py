@@ -1,4 +1,4 @@
-"""What a key of a file of data may hold, and the sentence that says so, as annotations of the fields that take it."""
+"""Rules for the values of data files, with the sentence for each, as annotations of the fields."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOST_BYTES = 1_000_000
 
 
 class UnreadableFileError(ValueError):
-    """A file of data that cannot be read; the words are what follows its name."""
+    """A data file that cannot be read; the words follow its name in the message."""
 
     def __init__(self, words: Phrase) -> None:
         super().__init__(words)
@@ -38,7 +38,7 @@ def read_data(path: Path) -> dict[str, Any]:
     kind, parse = ("JSON", json.loads) if path.suffix.lower() == ".json" else ("TOML", tomllib.loads)
     try:
         with path.open("rb") as file:
-            raw = file.read(_MOST_BYTES + 1)  # a pipe or a device does not say its size
+            raw = file.read(_MOST_BYTES + 1)  # a pipe or a device does not report its size
     except OSError as error:
         words = Phrase("cannot be read: {reason}", reason=error.strerror)
         if path.is_dir():
@@ -49,7 +49,7 @@ def read_data(path: Path) -> dict[str, Any]:
     if len(raw) > _MOST_BYTES:
         raise UnreadableFileError(Phrase("is too large; a file of data has at most {most} bytes", most=_MOST_BYTES))
     try:
-        data = parse(raw.decode("utf-8-sig"))  # some editors begin a file with a mark
+        data = parse(raw.decode("utf-8-sig"))  # some editors begin a file with a byte order mark
     except UnicodeDecodeError:
         raise UnreadableFileError(Phrase("is not UTF-8 text; save it as UTF-8")) from None
     except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
@@ -61,7 +61,7 @@ def read_data(path: Path) -> dict[str, Any]:
 
 
 class BadValueError(ValueError):
-    """One key that cannot be taken: key, value, what is allowed."""
+    """A key with an unusable value: key, value, what is allowed."""
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         self.words = Phrase("{key} = {value}: allowed: {allowed}", key=key, value=repr(value), allowed=allowed)
@@ -71,7 +71,7 @@ class BadValueError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """`take` returns the value to keep, or raises ValueError or TypeError; `allowed` says what it takes."""
+    """`take` returns the value to keep, or raises ValueError or TypeError; `allowed` describes the allowed values."""
 
     take: Callable[[Any], Any]
     allowed: str
@@ -85,7 +85,7 @@ class Rules:
 
     @classmethod
     def of(cls, kind: type) -> Rules:
-        """Return those that the fields of a class are annotated with."""
+        """Return the rules with which the fields of a class are annotated."""
         hints = get_type_hints(kind, include_extras=True)
         annotated = {name: hint.__metadata__ for name, hint in hints.items() if hasattr(hint, "__metadata__")}
         return cls({name: rule for name, (rule,) in annotated.items()})

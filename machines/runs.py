@@ -15,7 +15,7 @@ class RunState(Enum):
 
     PARKED = "parked"  # known and checked, waits for a person
     RUNNING = "running"
-    HOLDING = "holding"  # told to hold, still moving
+    HOLDING = "holding"  # a hold was ordered; still moving
     HELD = "held"
     STOPPING = "stopping"  # abort under way
     INTERRUPTED = "interrupted"  # stopped by a fault; only `recover` goes on
@@ -25,7 +25,7 @@ class RunState(Enum):
 
     @property
     def words(self) -> Phrase:
-        """The same in a sentence."""
+        """The state as words of a sentence."""
         return _STATE_WORDS[self]
 
 
@@ -53,7 +53,7 @@ TRANSITIONS: dict[RunState, frozenset[RunState]] = {
     _S.STOPPING: frozenset({_S.ABORTED, _S.INTERRUPTED}),
     _S.INTERRUPTED: frozenset({_S.RECOVERING, _S.ABORTED}),
     _S.FINISHED: frozenset(),
-    # An abort in a fright at hour 40 must not cost the part: what was cut is known, so a person may go on with it.
+    # A panicked abort at hour 40 must not cost the part: it is known what was cut, so a person may continue.
     _S.ABORTED: frozenset({_S.RECOVERING}),
 }
 LIVE = frozenset({_S.RUNNING, _S.HOLDING, _S.HELD, _S.STOPPING, _S.RECOVERING})
@@ -64,7 +64,7 @@ RECOVER_CHECKS = START_CHECKS | {"position"}
 
 
 def move_state(before: RunState, after: RunState) -> RunState:
-    """Return `after`, where the table allows the move; NotAllowedError names both states otherwise."""
+    """Return `after` if the table allows the move; otherwise NotAllowedError names both states."""
     if after not in TRANSITIONS[before]:
         allowed = join(", ", sorted(state.words for state in TRANSITIONS[before])) or Phrase("nothing")
         raise NotAllowedError(
@@ -80,7 +80,7 @@ def move_state(before: RunState, after: RunState) -> RunState:
 
 @dataclass(frozen=True, slots=True)
 class Confirmation:
-    """A person's word, by name, that these things were looked at."""
+    """A person's statement, with the name, that these things were checked."""
 
     operator: str
     checks: frozenset[str]
@@ -98,7 +98,7 @@ class Confirmation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunReport:
-    """What the owner of a mill says of a run, at one moment.
+    """The report of a mill's owner on a run at one moment.
 
     words         : why it is in this state, for the operator; code, values: the same for programs ("": words are all)
     travel_in_doubt : one of the warnings is that the program may not fit the travel
@@ -135,15 +135,15 @@ class RunReport:
 
     @property
     def share(self) -> float:
-        """How much is certainly cut, 0 to 1, by lines."""
+        """The share of lines that are certainly cut, 0 to 1."""
         return 1.0 if self.state is _S.FINISHED else min(1.0, self.executed_line / self.lines) if self.lines else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         values = {name: getattr(self, name) for name in self.__slots__}
-        told = values | {
+        view = values | {
             "state": self.state.value,
             "warnings": list(self.warnings),
             "share": self.share,
             "live": self.live,
         }
-        return told | {"phrases": phrases_in((self.words, self.values, told["warnings"]))}
+        return view | {"phrases": phrases_in((self.words, self.values, view["warnings"]))}

@@ -1,1 +1,1 @@
-"""From a target picture to a refracting heightfield, and light through it. Arrays in, arrays out."""
+"""Computes a refracting heightfield from a target picture, and simulates its light. Arrays in, arrays out."""

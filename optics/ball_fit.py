@@ -1,9 +1,9 @@
 """Changes a lens as little as possible so that a ball cutter fits: its concave curvature stays under 1 / radius.
 
-Of surfaces with small slopes those that fit are a convex set, cut out by one half space for each point and direction,
-so the lens is projected onto one after the other that it violates (Kaczmarz, Gauss-Seidel), on the spline's own
-coefficients and on points twice as close as its vertices. Each step moves curvature from a point to its neighbours and
-leaves the slopes around them alone, so light moves by a pixel or two and none gets lost.
+For small slopes, the surfaces that fit are a convex set, bounded by one half space for each point and direction. So the
+lens is projected onto each half space that it violates, one after the other (Kaczmarz, Gauss-Seidel), in the spline's
+own coefficients and at points twice as close as its vertices. Each step moves curvature from a point to its neighbours
+and does not change the slopes around them, so light moves by a pixel or two and none is lost.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from optics.threads import run_on_rows
 Rows = NDArray[np.int64]
 _TILE = 16  # points along its side
 _ROUNDING = 1e-6
-_AIM = 0.97  # of the curvature allowed: a little under it, so that the steps come to an end
+_AIM = 0.97  # of the allowed curvature: slightly below it, so that the steps end
 SWEEPS = 300  # 20 for photographs, 100 where much of a picture is black
 
 
@@ -59,7 +59,7 @@ def _tightest(zx: float, zy: float, zxx: float, zxy: float, zyy: float) -> tuple
     root = math.sqrt(square)
     mean = (gyy * zxx - 2.0 * gxy * zxy + gxx * zyy) / (2.0 * square * root)
     k = mean + math.sqrt(max(mean * mean - (zxx * zyy - zxy * zxy) / (square * square), 0.0))
-    hxx, hxy, hyy = zxx - k * root * gxx, zxy - k * root * gxy, zyy - k * root * gyy  # times the direction: nothing
+    hxx, hxy, hyy = zxx - k * root * gxx, zxy - k * root * gxy, zyy - k * root * gyy  # times the direction: zero
     ex, ey = (-hxy, hxx) if abs(hxx) > abs(hyy) else (hyy, -hxy)
     if ex == 0.0 and ey == 0.0:
         ex = 1.0
@@ -106,7 +106,7 @@ def _relax_point(c: Array, y: float, x: float, inv_dy: float, inv_dx: float, lim
 def _sweep(
     first: int, last: int, which: Rows, c: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask, tight: Mask
 ) -> None:
-    """Relax the points of the marked tiles in rows which[first:last]; tight tells in which tiles there were any."""
+    """Relax the points of the marked tiles in rows which[first:last]; tight marks tiles with points over the limit."""
     rows, columns = 2 * c.shape[0] - 1, 2 * c.shape[1] - 1
     for b in which[first:last]:
         for a in range(tiles.shape[1]):
@@ -119,10 +119,11 @@ def _sweep(
 
 
 def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> Heightfield:
-    """Return the lens with concave curvature of at most 1 / radius_mm, its top unchanged; the lens itself if that is so
-    already.
+    """Return the lens with concave curvature of at most 1 / radius_mm, its top unchanged; the lens itself if it already
+    fits.
 
-    sweeps : over the points that still violate it. A lens may come back before it fits, nearer to it than it was
+    sweeps : over the points that still violate the limit. The result may not fit yet, but is closer to fitting than
+    before
 
     The spline's end condition makes its two outermost cells one cubic, so its outermost coefficients follow from the
     others, which alone are changed.
@@ -136,7 +137,7 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
         tiles = _suspects(coefs, inv_dy, inv_dx, limit, tight) if fresh else _and_neighbours(tight)
         tight[:] = False
         marked = np.flatnonzero(tiles.any(axis=1))
-        for odd in (0, 1):  # two rows of either change no coefficient in common
+        for odd in (0, 1):  # rows of the same parity share no coefficient
             which = marked[marked % 2 == odd]
             run_on_rows(_sweep, which.size, which, coefs, inv_dy, inv_dx, limit, tiles, tight)
         if fresh and not tight.any():

@@ -1,4 +1,4 @@
-"""The fixed set-up that a lens is made for: aperture, glass, light and screen."""
+"""The fixed set-up for which a lens is made: aperture, glass, light and screen."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Bench:
 
     refractive_index : of the mean of the light's spectrum
     dispersion   : n_F - n_C of the glass; 0: all colours bend alike
-    thickness_mm : from Z0 down to the flat face that light enters by; matters for diverging or tilted light
-    mirror       : the surface reflects light that comes from above, instead of refracting what comes through the block
+    thickness_mm : from Z0 down to the flat face by which light enters; matters for diverging or tilted light
+    mirror       : the surface reflects light from above, instead of refracting light that comes through the block
     outline_mm   : (k, 2) corners, counter-clockwise, of the lens within its aperture: dark outside. None: all of it
     haze, back   : of the block, `optics.block`; back None: flat
-    branch       : "inverted": rays cross before the screen, which turns valleys into ridges at the price of relief
+    branch       : "inverted": rays cross before the screen, which turns valleys into ridges but needs more relief
     """
 
     width_mm: float
@@ -131,10 +131,10 @@ class Bench:
     def bundle(self, beams: int) -> list[Beam]:
         """Return the light as beams of equal strength: at most that many.
 
-        A source with a size has so many places, each with a wavelength of its own: places and colours are drawn evenly
-        together, so that colours cost nothing more. Of one place, colours lie on a line and not on a disc, and a fourth
-        of that number does: `camera` 512, which has 45.9 dB in many, has 46.1 in 5 and 46.8 in 2. One beam is the
-        middle of all.
+        A source with a size has that many places, each with its own wavelength: places and colours are drawn evenly
+        together, so that colours need no further beams. For a point source, colours lie on a line and not on a disc,
+        and a quarter of that number is enough: `camera` 512, which has 45.9 dB in many, has 46.1 in 5 and 46.8 in 2.
+        A single beam is the middle of all.
         """
         if not self.light.extended or beams <= 1:
             return [self.beam(more_index=more) for more in self.split_index(math.ceil(beams / 4))]
@@ -147,16 +147,16 @@ class Bench:
 
     @property
     def flawless(self) -> Bench:
-        """The same with a clear and flat block: what a lens is made for."""
+        """The bench with a clear and flat block, for which a lens is made."""
         return replace(self, haze=0.0, back=None)
 
     @property
     def clear(self) -> Bench:
-        """The same with a block that is not hazy."""
+        """The bench with a block that is not hazy."""
         return replace(self, haze=0.0)
 
     def add_haze(self, irradiance: Array) -> Array:
-        """Return irradiance (ny, nx) on the screen as a block as hazy as this one shows it."""
+        """Return irradiance (ny, nx) on the screen with this block's haze added."""
         if self.haze == 0.0:
             return irradiance
         (ny, nx), wide_mm = irradiance.shape, math.tan(SCATTER_RAD) * self.throw_mm
@@ -184,7 +184,7 @@ class Bench:
 
     @property
     def sign(self) -> float:
-        """1 where the picture's left comes from the lens's left, -1 where rays cross on their way."""
+        """1 if the picture's left comes from the lens's left, -1 if rays cross on their way."""
         return -1.0 if self.branch == "inverted" else 1.0
 
     @property
@@ -205,8 +205,8 @@ class Bench:
 
         The light goes aside by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
         k = 1 - aperture / screen, or 1 + aperture / screen on the inverted branch. The path's gradient is that over
-        S = sqrt(|aside|^2 + H^2), whatever the light; for kx = ky that is the gradient of
-        (kx x^2 + ky y^2 + 2 (ax x + ay y)) / (S + S of the centre).
+        S = sqrt(|aside|^2 + H^2), for any light; for kx = ky that is the gradient of (kx x^2 + ky y^2 + 2 (ax x + ay
+        y)) / (S + S of the centre).
         """
         s, (ax, ay) = self.screen, self.shift_mm
         kx, ky = 1 - self.sign * self.width_mm / s.width_mm, 1 - self.sign * self.height_mm / s.height_mm

@@ -1,11 +1,11 @@
-"""Finds pictures that are hard for a lens before one is designed: black areas, fine strokes, single dots; and says what
-helps.
+"""Finds what makes a picture hard for a lens before the lens is designed (black areas, fine strokes, single dots) and
+advises what helps.
 
 Black comes out of creases. On the direct branch these are valleys, and a ball of radius r leaves their bottoms round: a
 bottom of curvature 1/r spreads its light by m + k H / r instead of by M (M: screen over aperture; m: what a flat
 surface spreads it by, 1 of parallel light; H: throw; k = n - 1, or 2 of a mirror), so that black receives
 M / (m + k H / r) of the mean irradiance. On the inverted branch black comes out of ridges, which any ball can cut;
-there the rays cross before the screen, and the slopes to turn every one over are the price.
+there the rays cross before the screen, which takes steeper slopes.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from phrases.phrase import Phrase
 DARK = 0.02  # of the brightest pixel: below is black
 _LEAK_WORTH_A_WORD = 0.01
 _LEAK_WORTH_A_TURN = 0.01
-_FINE_WORTH_A_WORD = 0.2  # below, less than 3 % of the light was misplaced on nearly all of 200 hard pictures of 64-128
-_MISPLACED_PER_FINE = 0.3  # what these pictures had, at 2 vertices a pixel and 2 corrections
+_FINE_WORTH_A_WORD = 0.2  # below, nearly all of 200 hard pictures of 64-128 had less than 3 % of light misplaced
+_MISPLACED_PER_FINE = 0.3  # measured on these pictures at 2 vertices a pixel and 2 corrections
 _PEAK_WORTH_A_WORD = 100.0  # times the mean
 _SKETCH_PIXELS = 48
 _SPARE_MM = 2.0  # of the block's thickness, under the deepest point
@@ -39,7 +39,7 @@ STEEPEST = 0.7  # slope that leaves room under total reflection (0.905 for 1.49)
 class Advice:
     """Advice about a lens, with the values to change.
 
-    figures : of this very lens; of a coarse one they are no more than a first guess, and its words are enough
+    figures : of this very lens; those of a coarse lens are only a first guess, so only its words are shown
     """
 
     words: Phrase
@@ -55,8 +55,8 @@ class Advice:
 def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
     """Return the share of light that falls on black pixels with any method, for valleys with a ball's radius.
 
-    target (ny, nx), mean 1. The picture's own light on its black pixels counts too. To be added is what the lens grid
-    loses: 0.5-1 % of the light for a logo at two vertices a pixel, a third of that at eight.
+    target (ny, nx), mean 1. The picture's own light on its black pixels counts too. The lens grid adds to it: 0.5-1 %
+    of the light for a logo at two vertices a pixel, a third of that at eight.
     """
     dark = target < DARK * target.max()
     in_valley = valley_leak(bench, radius_mm) * float(target.mean())
@@ -84,12 +84,14 @@ def _flat_spread(bench: Bench) -> float:
 
 
 def fine_detail(target: Array) -> float:
-    """Return share of the light that a blur over 3 x 3 pixels would move: 0 for a soft picture, 1 for separate dots."""
+    """Return the share of light that a blur over 3 x 3 pixels would move: 0 for a soft picture, 1 for separate dots."""
     return float(np.abs(target - uniform_filter(target, 3, mode="nearest")).mean() / (2 * target.mean()))
 
 
 def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[Advice, ...]:
-    """Return advice for a picture that is hard for this set-up: what to expect and change; for most there is none."""
+    """Return advice for a picture that is hard for this set-up: what to expect and what to change. Most pictures need
+    none.
+    """
     found = []
     leak, fine, peak = dark_leak_estimate(target, bench, radius_mm), fine_detail(target), target.max() / target.mean()
     if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
@@ -158,7 +160,8 @@ def _describe_fine(fine: float, vertices_per_pixel: int) -> Phrase:
 
 
 def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:
-    """Return the inverted branch if black areas gain by it and if a sketch of it converges, is no steeper, and fits.
+    """Return the inverted branch if it makes black areas darker and a coarse design of it converges, is no steeper, and
+    fits.
 
     At a throw of three times the width (logo, 256 pixels, ball of 2 mm) 1.7 instead of 2.7 % of the light ends in
     black, for a relief of 25 instead of 8 mm; nearer, slopes come too close to total reflection.

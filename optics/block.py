@@ -1,10 +1,10 @@
-"""What a block does to light beside what its milled side does: it scatters some of it, and its back is not flat.
+"""Effects of a block on light in addition to its milled side: haze, and a back that is not flat.
 
 Haze is the share of the light that comes through more than 2.5 degrees off its way (ASTM D1003). Makers do not state
 how it is spread: here it is a bell of 10 degrees about each ray, of which 3 % stay within 2.5 degrees.
 
-Where the back rises, the block is as much thinner, and light goes as if its milled side lay as much lower: exact to the
-first order of the back's slopes, which are far below those of a lens.
+Where the back rises, the block is thinner by that much, and light behaves as if its milled side were lower by the same
+amount: exact to the first order of the back's slopes, which are far smaller than those of a lens.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SCATTER_RAD = math.radians(10.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Back:
-    """The flat face of a block, as it is: a wave along X and one along Y, each from its own middle at the origin.
+    """The back of a block as it really is: a wave along X and one along Y, each starting from its mean at the origin.
 
     flatness_mm : between two parallel planes that hold it
     period_mm   : of both waves
@@ -34,7 +34,7 @@ class Back:
     period_mm: float
 
     def rise_mm(self, x_mm: Array, y_mm: Array) -> Array:
-        """Return by how much it stands above its lowest point, at points (broadcast)."""
+        """Return its height above its lowest point, at points (broadcast)."""
         k = 2.0 * math.pi / self.period_mm
         return np.asarray(self.flatness_mm / 4 * (2.0 + np.sin(k * x_mm) + np.sin(k * y_mm)))
 
@@ -45,14 +45,14 @@ class Back:
 
 
 def lower_by_back(lens: Heightfield, back: Back | None) -> Heightfield:
-    """Return the lens of which a flat block would do what this one does; back None: flat."""
+    """Return the lens with which a flat block would have the same effect; back None: flat."""
     if back is None:
         return lens
     return replace(lens, z_mm=lens.z_mm - back.rise_mm(lens.x_mm[None, :], lens.y_mm[:, None]))
 
 
 def lower_facets_by_back(facets: Array, back: Back | None) -> Array:
-    """Return the same of facets (n, 4, 5): x, y, z [mm] and slopes in x and y of their corners."""
+    """Do the same for facets (n, 4, 5): x, y, z [mm] and slopes in x and y of their corners."""
     if back is None:
         return facets
     x, y = facets[..., 0], facets[..., 1]

@@ -1,23 +1,23 @@
 """Unilateral contact: removal by an elastic pad that does not reach the surface everywhere.
 
-A pad pressed on a surface z touches it where it can and hangs over what is too deep for its pressure. Its shape u is
-never below the surface, its pressure q (mean 1) is never negative, and there is pressure only where it touches:
+A pad pressed on a surface z touches it where it can and bridges places that are too deep for its pressure. Its shape u
+is never below the surface, its pressure q (mean 1) is never negative, and there is pressure only where it touches:
 
     u >= z,  q >= 0,  (u - z) q = 0                                 (Signorini's conditions)
 
-Removal goes with pressure and sliding (Preston), so a depth D that comes off on average takes D q off each place. The
-pad's compliance follows from the finish's own transfer function H: in a step of the part f of D it is
-A = f D / (1 - H^f). That is an implicit step of Preston's law, and touching everywhere leaves exactly H^f of each wave.
-(For exp(-k/k0) and many steps A is D k0/k: the elastic half space, 2P/(E k). A wave is touched down to its valleys
-while its height is less than A.) Then q = A^-1 u + 1, and the gap g = u - z is where
+Removal is proportional to pressure and sliding (Preston), so a mean depth D takes D q off each place. The pad's
+compliance follows from the finish's own transfer function H: in a step of the part f of D it is A = f D / (1 - H^f).
+That is an implicit step of Preston's law, and touching everywhere leaves exactly H^f of each wave. (For exp(-k/k0) and
+many steps A is D k0/k: the elastic half space, 2P/(E k). A wave is touched down to its valleys while its height is less
+than A.) Then q = A^-1 u + 1, and the gap g = u - z is where
 
     g B g / 2 + g (B z + f D) over g >= 0,  B = 1 - H^f
 
-is least. Its gradient B (z + g) + f D is what comes off in the step. B is a product in cosine space with values within
-0 and 1, so that g <- max(0, g - gradient) converges: the pad sags until it touches or balances. Conjugate gradients on
-the nodes that hang do so more quickly (as Dostal's MPRGP, 2009). Holes many times as wide as 1/k0 are what is slow, so
-each step is solved on coarser grids first, from two dozen nodes a side, each the start of the next one; the finest grid
-then needs about five products.
+is least. Its gradient B (z + g) + f D is the removal of the step. B is a product in cosine space with values within 0
+and 1, so that g <- max(0, g - gradient) converges: the pad sags until it touches or balances. Conjugate gradients on
+the nodes without contact converge faster (as Dostal's MPRGP, 2009). Holes many times as wide as 1/k0 converge slowly,
+so each step is solved on coarser grids first, from two dozen nodes a side, each the start of the next one; the finest
+grid then needs about five products.
 
 Measured on `camera`, 100 mm, felt of k0 2.05 rad/mm, order 1, 19.7 um off, 1025 x 1025 vertices, against 16 equal
 steps: 1 / 2 / 3 steps, each half of the one before, are off by 0.14 / 0.05 / 0.03 um rms (2 / 4 equal ones: 0.05 /
@@ -37,8 +37,8 @@ from optics.spline import Array, Mask
 from optics.threads import thread_count
 
 STEPS = 3
-_TOLERANCE = 3e-3  # rms of what breaks the conditions, in parts of a step's depth
-_COARSEST = 24  # nodes along a side, from where halving ends
+_TOLERANCE = 3e-3  # rms violation of the conditions, relative to a step's depth
+_COARSEST = 24  # nodes along a side at which halving ends
 _MOST_PRODUCTS, _MOST_NODES = 60, 2_000_000  # of conjugate gradients on a grid; on small ones more, at no cost
 
 
@@ -48,8 +48,8 @@ class Wear:
 
     removal_mm : (ny, nx), never negative, its mean is the depth
     touched    : (ny, nx) of bool: where the pad touches in the last step
-    residual   : rms of what breaks the conditions in the worst step, in parts of its depth; more than 0.003 where the
-                 solver stopped early
+    residual   : rms violation of the conditions in the worst step, relative to its depth; more than 0.003 if the solver
+    stopped early
     """
 
     removal_mm: Array
@@ -61,7 +61,7 @@ def wear_surface(heights_mm: Array, multipliers: Array, depth_mm: float, *, step
     """Return the removal from heights (ny, nx) under a pad, both mirrored at their ends (cosine transform of type 1).
 
     multipliers : (ny, nx) part left of each wave of the transform where the pad touches everywhere; 1 of the mean
-    depth_mm    : what comes off on average, more than 0
+    depth_mm    : mean removal, more than 0
     steps       : in which it comes off, each half of the one before, at least 1
     """
     weights, residual = weigh_nodes(heights_mm.shape), 0.0
@@ -118,8 +118,9 @@ def _relax(gap: Array, linear: Array, lacking: Array, tolerance_mm: float) -> tu
 
     linear : (ny, nx) removal where the pad touches everywhere; negative where it does not
 
-    Gradients conjugate on the nodes that hang, as long as those do not change; a step that would put some below 0 stops
-    them at 0. Where more is wrong with nodes that touch, or such a step gains nothing, all sag: g <- max(0, g - r).
+    Conjugate gradients run on the nodes without contact as long as those do not change; a step that would put some
+    below 0 stops them at 0. If the nodes in contact have the larger residual, or such a step gains nothing, all nodes
+    take a gradient step: g <- max(0, g - r).
     """
     weights = weigh_nodes(gap.shape).astype(np.float32)
 
@@ -159,7 +160,7 @@ def _relax(gap: Array, linear: Array, lacking: Array, tolerance_mm: float) -> tu
 
 
 def weigh_nodes(shape: tuple[int, ...]) -> Array:
-    """Return the parts of the surface that nodes stand for: half along its ends, where the transform counts them so."""
+    """Return the share of the surface that each node represents: half along its ends, as the transform counts them."""
     down, across = np.ones(shape[0]), np.ones(shape[1])
     down[[0, -1]] = across[[0, -1]] = 0.5
     return np.asarray(down[:, None] * across[None, :])

@@ -1,8 +1,9 @@
-"""The passes of the transport method: solve, shape, simulate the light, and correct the aim by the error.
+"""The passes of the transport method: each solves the map, shapes the lens, simulates its light, and corrects the aim
+by the error.
 
-Correction: g <- max(0, g + T - I), and the map solved again from where it was; I is the light of the lens as it will be
-cut, valleys filled until the ball fits, under all of the source. The best pass is kept. What a finish will take is the
-business of the descent that follows (`polish`).
+Correction: g <- max(0, g + T - I), and the map is solved again from its present state; I is the light of the lens as it
+will be cut, with valleys filled until the ball fits, under the whole source. The best pass is kept. The later descent
+(`polish`) accounts for the finish.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from optics.outcomes import DESIGN_BEAMS
 from optics.spline import Array
 from optics.transport.solver import OpticalPath, solve_transport
 
-_CLOSING_PER_BALL = 1.25  # wider than the ball, for what a closing lets through; 1 or 1.5 score less after the fit
+_CLOSING_PER_BALL = 1.25  # wider than the ball, because a closing is not exact; 1 or 1.5 score less after the fit
 _MOST_LOST = 0.05  # of the light, for a lens that counts as converged
 _TUBES_PER_PIXEL = 4
 
@@ -33,8 +34,8 @@ _TUBES_PER_PIXEL = 4
 class ClosingCost:
     """Loss of picture quality by shaping the lens for a ball of radius_mm, before polish.
 
-    With: of the best pass. Without: estimated, that and the difference that shaping makes to the first pass; where the
-    lens without was corrected as well, within 0.5 dB of it.
+    With: of the best pass. Without: an estimate, the score with plus the difference that shaping makes in the first
+    pass. In tests where the lens without shaping was also corrected, the estimate was within 0.5 dB.
     """
 
     radius_mm: float
@@ -55,7 +56,7 @@ class Pass:
 
     @property
     def lost_share(self) -> float:
-        """Of the light: what misses the screen or is reflected."""
+        """Share of the light that misses the screen or is reflected."""
         return self.caustic.outside_share + self.caustic.reflected_share
 
     @property
@@ -69,7 +70,7 @@ class Pass:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corrected:
-    """The best of the passes, the first, the lens of that before it was shaped, and a record of each."""
+    """The best pass, the first pass, the lens of the first pass before it was shaped, and a record of each pass."""
 
     best: Pass
     first: Pass
@@ -94,7 +95,7 @@ def correct_lens(
 ) -> Corrected:
     """Return the lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections.
 
-    first : the target's own solution, where it is known; balls of all sizes have the same
+    first : the target's own solution, if it is known; it is the same for balls of all sizes
     """
     report("transport map", 0.0)
     path = first or solve_transport(
@@ -110,7 +111,7 @@ def correct_lens(
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)
         try:
             latest = _evaluate(path, _build_lens(path, settings), target, settings)
-        except NoSurfaceError:  # the passes so far are worth more
+        except NoSurfaceError:  # keep the passes so far
             break
         history.append(_record(number, latest))
         if latest.score.psnr_db > best.score.psnr_db:  # stripes a pixel wide get worse
@@ -132,7 +133,7 @@ def _build_lens(path: OpticalPath, settings: LensSettings) -> Heightfield:
 def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
     """Return the lens with its valleys filled until the ball fits; the lens itself if it fits already.
 
-    Closing fills them as the ball would leave them, on the grid not quite; the fit does the rest.
+    Closing fills them as the ball would leave them, but not exactly on the grid; the fit does the rest.
     """
     ball_mm = settings.closing_radius_mm
     if ball_mm <= 0 or ball_fits(raw, ball_mm):

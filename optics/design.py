@@ -26,13 +26,13 @@ _DEAR_LEAK = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensDesign:
-    """A lens and a record of its design. If it is not `converged`, `message` says how far it got; the lens is still
-    usable.
+    """A lens and a record of its design. If it is not `converged`, `message` says how far the design got; the lens is
+    still usable.
 
     history  : a record of each pass of the method
     warnings : sentences for a person, each with what to change
-    closing  : what filling valleys cost; None where nothing was to be filled
-    polish   : what the descent at the end did; None where there was none
+    closing  : cost of filling valleys; None if there was nothing to fill
+    polish   : result of the descent at the end; None if there was none
     """
 
     heightfield: Heightfield
@@ -41,7 +41,7 @@ class LensDesign:
     history: list[dict[str, Any]]
     message: Phrase
     seconds: float
-    flow: PaperFlow | None = None  # the paper's method step by step, where that was the method
+    flow: PaperFlow | None = None  # the steps of the paper's method, if that was used
     warnings: tuple[Advice, ...] = ()
     closing: ClosingCost | None = None
     polish: PolishRecord | None = None
@@ -50,9 +50,9 @@ class LensDesign:
 def design_lens(
     target: Array, settings: LensSettings, *, on_progress: Progress | None = None, passes: Corrected | None = None
 ) -> LensDesign:
-    """Return the lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method.
+    """Return the lens for `target` (ny, nx), work frame, mean 1, by the chosen method.
 
-    passes : those of the transport method, where they are there already
+    passes : those of the transport method, if they are already computed
     """
     report = on_progress or (lambda stage, share: None)
     if settings.method == "transport":
@@ -66,7 +66,7 @@ def design_lens(
 
 
 def _design_by_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
-    from optics.paper.surface import paper_lens  # what it stands on is slow to import
+    from optics.paper.surface import paper_lens  # its dependencies are slow to import
 
     started = time.perf_counter()
     lens, ball_mm = paper_lens(target, settings, on_progress=report), settings.closing_radius_mm

@@ -3,18 +3,18 @@
 z_finished(k) = H(k) z_milled(k) - depth with H(k) = exp(-(k / k0)^order), k in rad/mm. Sanding between grits is
 diffusion (order 2), a soft pad removes in proportion to its pressure (Preston; order 1), a film of lacquer levels under
 its surface tension (Orchard; order 4). H holds for marks; the form of a lens, millimetres high over centimetres, is
-longer than the tool in the hand, which follows it: where a pad would have to take off more than its own depth it only
-loses touch. So waves much longer than the tool keep their height.
+longer than the hand tool, which follows it: where a pad would have to take off more than its own depth it merely loses
+contact. So waves much longer than the tool keep their height.
 
 A film (lacquer, melt, swollen skin) wets all of the surface: the law is linear and keeps the volume, since H is 1 at
-k = 0; a coat adds the same everywhere. A pad or paper takes off, and never adds: where H z - depth would lie above z it
-hangs over the surface and the law is that of `optics.contact`, whose limit for small marks is H. It hangs in creases,
-beside steep walls, and behind rims; smoothing ends there, for as long as one works.
+k = 0; a coat adds the same everywhere. A pad or paper only takes material off: where H z - depth would lie above z it
+bridges the surface, and the law is that of `optics.contact`, whose limit for small marks is H. It bridges creases, the
+foot of steep walls, and the space behind rims; there nothing is smoothed however long one works.
 
-A surface ends somewhere, but a low pass looks beyond: the lens goes on as its run-out does, and the whole is mirrored
-at its end (cosine transform), far enough away to be seen by nobody. That is all that is known of what stands around the
-lens: a pad is taken to go on over the run-out. The wall of a pit that the run-out does not reach, and a pad that tips
-over an outer edge, are not seen.
+A low pass needs the surface beyond its end: the lens is continued by its run-out, and the whole is mirrored at its end
+(cosine transform), far enough away to have no effect. Nothing else around the lens is modelled: a pad is assumed to go
+on over the run-out. The wall of a pit that the run-out does not reach, and a pad that tips over an outer edge, are not
+modelled.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from optics.heightfield import Heightfield
 from optics.spline import Array, Mask
 
 PAD_MM = 20.0
-"""The usual size of what is held in the hand: a felt, a soft block."""
+"""The usual size of a hand tool: a felt, a soft block."""
 
 _SIGMAS = 3.0
-_BEYOND = 4.0  # reaches of the finish, that the surface goes on before it is mirrored
+_BEYOND = 4.0  # in reaches of the finish: how far the surface is continued before it is mirrored
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class Finish:
     k0_rad_per_mm : wave number at which 1/e of a mark's height is left
     order         : 1 soft pad, 2 random abrasion, 4 levelling film
     pad_mm        : size of the tool; marks much longer than it are form, which it follows
-    depth_mm      : what a pad or paper takes off on average, which decides where it touches; None: a film, or not
+    depth_mm      : average depth that a pad or paper takes off, which decides where it touches; None: a film, or not
                     known: the linear law everywhere
     """
 
@@ -158,7 +158,7 @@ def finish_lens(
 
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
-    """Return the surface of a perfectly milled lens that light will meet, after its finish if there is one."""
+    """Return the surface of a perfectly milled lens in the light: after its finish, if there is one."""
     return lens if finish is None else finish_surface(lens, finish)
 
 

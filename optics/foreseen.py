@@ -1,8 +1,8 @@
-"""Sharpens a picture by the blur of milling, so that the milled lens shows it right.
+"""Sharpens a picture to compensate for the blur of milling, so that the milled lens shows it correctly.
 
 Rows of a ball leave slopes even in +-pitch / 2R, so they spread each point of the picture evenly over a line: a box.
 Landweber's iteration: a <- max(floor, a + B(t - B a)), B that blur, which is its own transpose. It stops early: each
-step brings back finer detail for more contrast, which valleys under a ball cannot give.
+step restores finer detail but needs more contrast, which valleys under a ball cannot give.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numba import njit
 from optics.spline import Array
 
 _STEPS = 30
-_FLOOR = 0.01  # of the mean: no place of a lens is without light
+_FLOOR = 0.01  # of the mean: every place of a lens gets light
 
 
 def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:

@@ -18,8 +18,8 @@ class Heightfield:
 
     x_mm (nx,), y_mm (ny,) : ascending, evenly spaced vertex positions from one rim of the aperture to the other
     z_mm (ny, nx)          : heights, row j at y_mm[j]; never above 0
-    rim_mm                 : so far around the aperture the run-out goes on as the surface does, for a finish that looks
-                             beyond the rim
+    rim_mm                 : width around the aperture in which the run-out continues the surface, for a finish that
+    extends beyond the rim
     """
 
     x_mm: Array
@@ -29,7 +29,9 @@ class Heightfield:
 
     def __post_init__(self) -> None:
         for name in ("x_mm", "y_mm", "z_mm"):
-            values = np.array(getattr(self, name), dtype=np.float64, order="C")  # a copy: nobody else may write to it
+            values = np.array(
+                getattr(self, name), dtype=np.float64, order="C"
+            )  # a copy, so that no one else can write to it
             if not np.isfinite(values).all():
                 raise ValueError(f"heightfield {name} holds values that are not finite")
             values.setflags(write=False)

@@ -1,4 +1,4 @@
-"""A person's decisions about a lens, beside the set-up it is made for."""
+"""A person's decisions about a lens, apart from the set-up for which it is made."""
 
 from __future__ import annotations
 

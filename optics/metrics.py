@@ -72,7 +72,7 @@ def smallest_detail_mm(irradiance: Array, target: Array, pixel_mm: float) -> flo
     best.
 
     Contrast by frequency is the part of the picture that follows the target, sum I T* / sum |T|^2 over a ring of the
-    spectrum (Hann window), so that grain which has nothing to do with the target counts neither way.
+    spectrum (Hann window), so that grain unrelated to the target does not count.
     """
     window = np.outer(*(np.hanning(n + 2)[1:-1] for n in target.shape))
     ours, wanted = (np.fft.rfft2((one - one.mean()) * window) for one in (irradiance, target))

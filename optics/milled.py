@@ -1,9 +1,10 @@
-"""Simulates light through a milled surface of many small facets: each facet's light on the screen by itself.
+"""Simulates light through a milled surface of many small facets, each facet's light separately.
 
 A facet is a small plane or curved quadrilateral, given by place and slope at its corners. The rays through its corners
 are followed exactly; its light is spread evenly over the polygon that they span on the screen, by exact coverage of the
-pixels. Across a track neighbouring facets land far apart (a groove of radius R throws light over pitch / R x the way to
-the wall), so that points would be noise where areas are exact. What leaves the aperture's rectangle is cut off.
+pixels. The light of neighbouring facets across a track lands far apart (a groove of radius R throws light over pitch /
+R x the distance to the wall), so points would give noise where areas are exact. Facets are cut off at the aperture's
+rectangle.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from optics.tubes.lattice import Aim
 from optics.tubes.spread import POINT_AREA
 
 _STRIPS = 8  # a fixed number, so that sums do not depend on the machine's cores
-BEAMS = 7  # of light from a disc: what grooves do to it is wider
+BEAMS = 7  # for light from a disc: grooves spread it more than that
 _MOST_CORNERS = 8  # of a quadrilateral cut by a rectangle
 
 
@@ -41,11 +42,10 @@ def simulate_milled(
     beams: int = BEAMS,
     on_progress: Callable[[float], None] | None = None,
 ) -> Caustic:
-    """Return irradiance that the light of the bench makes on its screen by way of the facets part(0) .. part(parts -
-    1).
+    """Return the irradiance on the screen from the bench's light through the facets part(0) .. part(parts - 1).
 
     part        : (n, 4, 5) corners in order around, each x, y, z [mm] and slopes in x and y
-    heightfield : the lens meant, for the aperture and its outline
+    heightfield : the ideal lens, for the aperture and its outline
     """
     aim, bundle, cover = aim_at(bench, pixels), bench.bundle(beams), find_covered_cells(heightfield, bench)
     cells = (heightfield.dx_mm, heightfield.dy_mm) if cover.size > 1 else (1.0, 1.0)
@@ -122,7 +122,7 @@ def polygon_area(x, y, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _spread(acc, x, y, area, light):  # type: ignore[no-untyped-def]
-    """Spread light evenly over a polygon of that signed area; over a point where it has none."""
+    """Spread light evenly over a polygon of that signed area, or onto a point if the area is zero."""
     if abs(area) < POINT_AREA:
         add_point(acc, x[0], y[0], light)
         return
@@ -133,7 +133,7 @@ def _spread(acc, x, y, area, light):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spread_polygon(acc, x, y, count, light):  # type: ignore[no-untyped-def]
-    """Spread light evenly over a polygon on the screen [pixels]; False where a corner is NaN: none arrives.
+    """Spread light evenly over a polygon on the screen [pixels]; False if a corner is NaN: none arrives.
 
     A quadrilateral whose sides cross is spread as its two triangles, half of the light each: its own area would cancel.
     """
@@ -154,7 +154,7 @@ def spread_polygon(acc, x, y, count, light):  # type: ignore[no-untyped-def]
 def _paint(
     facets: Array, width: float, height: float, beam: Beam, aim: Aim, cover: Array, dx: float, dy: float, acc: Array
 ) -> tuple[float, float]:
-    """Add one beam's light through the facets to acc; returns how much it was and how much of it was reflected."""
+    """Add one beam's light through the facets to acc; return its amount and the part of it that was reflected."""
     room = 2 * _MOST_CORNERS
     corners, spare = np.empty((room, 5)), np.empty((room, 5))
     hit_x, hit_y, face_x, face_y = np.empty(room), np.empty(room), np.empty(room), np.empty(room)

@@ -1,6 +1,6 @@
-"""What milling does to a picture, on average: how far its facets throw light from where the lens sends it.
+"""The mean effect of milling on a picture: how far its facets deflect light from the lens's intended point.
 
-From samples of the milled surface: the blur in pixels, and a picture that would come of it, in a second.
+Computes, from samples of the milled surface, the blur in pixels, and a predicted picture within a second.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from optics.spline import Array
 from optics.tubes.lattice import Aim
 
 _INNER = 0.5 / math.sqrt(3.0)  # Gauss points of a facet, from its middle, of its side
-_ENOUGH = 20_000  # slopes of a sample, to know how they are spread
+_ENOUGH = 20_000  # slopes of a sample, enough for their distribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,10 +115,10 @@ def _areas(facets: Array) -> Array:
 def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heightfield, bench: Bench) -> Array:
     """Return the design's light (ny, nx) as a surface like the samples would show it: a second instead of a minute.
 
-    samples : (n, 4, 5) facets each, of some squares of the milled surface. How far they throw light from where the lens
-    does makes the kernel that the picture is blurred by, the same everywhere; what they would make of even light is its
-    grain and its stripes, repeated over the picture. In a spot I times as bright as the mean the light of I times as
-    many grooves meets, so that the grain grows as sqrt(I).
+    samples : (n, 4, 5) facets each, of some squares of the milled surface. Their deflection of light relative to the
+    lens gives the blur kernel, the same everywhere; their effect on even light gives grain and stripes, repeated over
+    the picture. In a spot I times as bright as the mean, light of I times as many grooves meets, so the grain grows as
+    sqrt(I).
     """
     shape = (irradiance.shape[0], irradiance.shape[1])
     aim, beam, spline = aim_at(bench, shape), bench.beam(), heightfield.spline()
@@ -128,7 +128,7 @@ def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heig
         thrown.append(_thrown(facets.reshape(-1, 5), jets, beam, aim).reshape(2, -1, 4))
     reaches = [np.abs(one[np.isfinite(one)]) for one in thrown]
     far = max((float(np.quantile(one, 0.999)) for one in reaches if one.size), default=math.nan)
-    if math.isnan(far):  # nothing to learn from
+    if math.isnan(far):  # no usable samples
         return irradiance.copy()
     kernel = _kernel(samples, thrown, min(math.ceil(far) + 1, max(shape)))
     blurred = convolve_same(irradiance, kernel)
@@ -137,7 +137,7 @@ def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heig
 
 
 def _kernel(samples: Sequence[Array], thrown: Sequence[Array], far: int) -> Array:
-    """Return (2 far + 1, 2 far + 1) weights of sum 1: where the light of one point of the picture goes."""
+    """Return (2 far + 1, 2 far + 1) weights of sum 1: the spread of the light of one point of the picture."""
     acc = np.zeros((2 * far + 1, 2 * far + 2))
     for facets, way in zip(samples, thrown, strict=True):
         _paint_thrown(facets, way + (far + 0.5), acc)
@@ -146,7 +146,7 @@ def _kernel(samples: Sequence[Array], thrown: Sequence[Array], far: int) -> Arra
 
 
 def _grain(samples: Sequence[Array], thrown: Sequence[Array], far: int, aim: Aim, shape: tuple[int, int]) -> Array:
-    """Return (ny, nx) relative deviation that the samples make of even light, mirrored over and over to fill the
+    """Return (ny, nx) the relative deviation of even light through the samples, mirrored repeatedly to fill the
     picture.
     """
     tiles = []
@@ -171,7 +171,7 @@ def _grain(samples: Sequence[Array], thrown: Sequence[Array], far: int, aim: Aim
 
 @njit(cache=True, nogil=True)
 def _thrown(corners: Array, jets: Array, beam: Beam, aim: Aim) -> Array:
-    """Return (2, n): how far [pixels] the light at each corner arrives from where the lens there would send it."""
+    """Return (2, n) the deviation [pixels] of each corner's light from the point to which the lens would send it."""
     out = np.empty((2, corners.shape[0]))
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]

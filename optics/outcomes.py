@@ -1,13 +1,13 @@
-"""From the milled heights to the pictures that may come of them: the forward model that a lens is descended on.
+"""From milled heights to their possible pictures: the forward model on which the descent optimises a lens.
 
-E = sum over outcomes of weight x 1/2 sum over pixels of (I - T)^2. An outcome is a finish as it may turn out: nobody
-hits k0, and a lens made for one exact finish loses 6 dB where the work is a fourth short or long. I is the light of the
-finished surface by flux tubes.
+E = sum over outcomes of weight x 1/2 sum over pixels of (I - T)^2. An outcome is a finish as it may turn out: no one
+hits k0 exactly, and a lens made for one exact finish loses 6 dB if the work is a quarter too short or too long. I is
+the light of the finished surface by flux tubes.
 
-A pad hangs over the creases that make black. What it takes off is far from linear there, and changes with each height
-around; so `touch` finishes the lens as it is now and then, and in between the law is the linear one, of heights that
-are mirrored at the rims, and what contact and run-out add to it at the last touch. Heights are left alone where the pad
-hangs, and at the rims: the run-out follows the slope there over millimetres, and by that lever a descent bends the
+A pad bridges the creases that make black. Its removal is far from linear there and depends on every height nearby. So
+`touch` computes the exact finish of the lens at intervals; in between, the model is the linear law for heights mirrored
+at the rims, plus what contact and run-out added to it at the last touch. Heights are not changed where the pad bridges,
+nor at the rims: the run-out extends the slope there over millimetres, and with that lever a descent would bend the
 outermost vertices, where no ball fits, instead of the lens. (`camera`, 256 pixels, linear tone, sanding, k0 2.56: 25.0
 dB, SSIM 0.76 without the descent and 28.0, 0.85 with it; 25.7 in the worst of its outcomes.)
 """
@@ -27,20 +27,20 @@ from optics.spline import Mask
 from optics.tubes.picture import TubePicture
 
 DESIGN_BEAMS = 7  # of an extended light, while a lens is designed for it
-_OFF_K0, _OFF_ORDER = (0.8, 1.25), (0.75, 1.25)  # times what is planned: what becomes of it in the hand
+_OFF_K0, _OFF_ORDER = (0.8, 1.25), (0.75, 1.25)  # times the plan: the spread of finishing by hand
 _OFF_WEIGHT = 0.15  # of each of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """A finish as it may turn out, and how much its picture counts. finish: None where nothing is finished"""
+    """A finish as it may turn out, and how much its picture counts. finish: None if nothing is finished"""
 
     weight: float
     finish: Finish | None
 
 
 def outcomes_of(finish: Finish | None) -> list[Outcome]:
-    """Return what may come of a finish, the planned one first."""
+    """Return the possible outcomes of a finish, the planned one first."""
     if finish is None:
         return [Outcome(weight=1.0, finish=None)]
     others = [finish.after(share**-finish.order) for share in _OFF_K0]
@@ -59,7 +59,7 @@ class FinishedHeights:
         self._lens, self._finishes = lens, finishes
         shape, spacing = lens.z_mm.shape, (lens.dy_mm, lens.dx_mm)
         self._kept = [None if one is None else one.multipliers(shape, spacing) for one in finishes]
-        self._left: list[Array | float] = [0.0] * len(finishes)  # by run-out and contact, over the linear law
+        self._left: list[Array | float] = [0.0] * len(finishes)  # added by run-out and contact to the linear law
         self._nodes = weigh_nodes(shape)
         self._is_unfinished = all(kept is None for kept in self._kept)
 
@@ -74,7 +74,7 @@ class FinishedHeights:
         ]
 
     def touch(self, z_mm: Array) -> Mask:
-        """Find anew what run-out and contact add; (ny, nx) of bool: where the pad of the first finish hangs."""
+        """Recompute what run-out and contact add; return where the first finish's pad bridges: (ny, nx) of bool."""
         lens, hangs = replace(self._lens, z_mm=z_mm), np.zeros(z_mm.shape, dtype=np.bool_)
         for number, (finish, kept) in enumerate(zip(self._finishes, self._kept, strict=True)):
             if finish is None or kept is None:
@@ -99,7 +99,7 @@ class FinishedHeights:
 
 
 class MeanError:
-    """E of heights, by that many tubes a cell side.
+    """E of heights, with that many tubes per cell side.
 
     Behind a finish in the mean colour: white blurs `camera` by less there than what the finish leaves. (256 pixels,
     felt, k0 2.05: white scores 0.1 dB more than one wavelength, whether the descent saw white or not.)
@@ -121,7 +121,7 @@ class MeanError:
         self.misses = [target] * len(outcomes)
 
     def touch(self, z_mm: Array) -> Mask:
-        """Find anew where the pads touch; (ny, nx) of bool: where that of the first outcome hangs over the surface."""
+        """Recompute where the pads touch; return where that of the first outcome bridges: (ny, nx) of bool."""
         return self._finished.touch(z_mm)
 
     def of(self, z_mm: Array) -> float:

@@ -10,8 +10,8 @@ Four tubes along a pixel's side overfit their own lattice, so the last steps see
 light, all others its mean: `camera` 512 has 46.5 dB in white then, 43.7 with one colour in all steps, 48.0 with colours
 in all, which take half as long again. Behind a finish, whose surface is smooth, two do; on a large lens one, on every
 second vertex. But all pixels are seen: half of them do not show the fine bright lines of too little work (`camera` 512,
-k0 x 1.25: 22.8 dB in place of 23.8). A ball that has to fit is looked after at the end: the descent hardly bends the
-surface, and what it does bend too far costs 0.1 dB to take back.
+k0 x 1.25: 22.8 dB in place of 23.8). If a ball has to fit, that is restored at the end: the descent hardly bends the
+surface, and correcting it costs 0.1 dB.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DEPTH = 8
 _LONG_WAVES = 1500.0  # beta, times the aperture's area
 _UNSEEN = 0.015  # eps
 _LEAST_LIGHT = 0.2  # delta of a picture without black; 0.8 more where half of it is
-_FIRST_LENGTH = 0.1  # the inverse Hessian is too bold until the first pair of step and gradient scales it
+_FIRST_LENGTH = 0.1  # the inverse Hessian is too large until the first pair of step and gradient scales it
 _SUFFICIENT = 1e-4  # of the decrease that the slope promises (Armijo)
 _MOST_TRIES = 6
 _FINE_SHARE = 0.2  # of the steps; 0.3 gains 0.1 dB in white for a tenth of the time
@@ -47,9 +47,9 @@ _LOST = 0.01  # H^2 of a wave that is not worth its height; 0.003 shows 0.2 dB m
 _SEEN_VERTICES = 4.0  # that are averaged behind a finish, of which waves the lens may use as much as it can: + 0.2 dB
 _HALVED_FROM = 256  # pixels along the shorter side
 _ROUND = 16  # steps from one touch to the next: 8 have less error and show less, SSIM 0.795 in place of 0.837
-_SHARES = (1.0, 0.5, 0.25)  # of a round's way that are tried
-_RIM = 2.0  # times the reach of a finish: within it heights move less and less, at the rim not at all
-_BESIDE = 0.8  # times 1 / k0: where a pad hangs and so near, heights are left alone
+_SHARES = (1.0, 0.5, 0.25)  # tried shares of a round's step
+_RIM = 2.0  # times the reach of a finish: within it heights move less toward the rim, and not at all at the rim
+_BESIDE = 0.8  # times 1 / k0: where a pad bridges, and within this distance, heights are not changed
 
 
 class Memory:
@@ -70,7 +70,7 @@ class Memory:
     def direction(self, gradient: Array, inverse: Callable[[Array], Array]) -> Array:
         """Return minus the inverse Hessian times the gradient.
 
-        `inverse` stands for it where nothing is known yet, but for a factor, which the last pair tells.
+        `inverse` approximates it where nothing is known yet, up to a factor, which the last pair determines.
         """
         q = gradient.copy()
         shares = []
@@ -178,11 +178,11 @@ def polish_lens(
     """Return the lens (its top where it was) after at most that many steps of descent, and a record of them.
 
     target     : (ny, nx), work frame, mean 1
-    ball_mm    : radius of the ball that must fit afterwards as well; 0 where none has to
+    ball_mm    : radius of the ball that must still fit afterwards; 0 if none has to
     finish     : after milling: the pictures are those behind it
-    as_planned : for the one finish that is planned, whatever may come of it: a quick look
+    as_planned : only for the finish that is planned, not for its other outcomes: a quick look
 
-    The lens comes back as it was where its finer tubes see no gain, or no gain as planned.
+    The lens is returned unchanged if finer tubes show no gain, or no gain as planned.
     """
     started = time.perf_counter()
     taken = 0
@@ -261,7 +261,8 @@ def _descend(
 ) -> Array:
     """Return heights after at most that many steps; stop early if no step lowers the error.
 
-    Behind a finish in rounds, after each of which the contact is found anew: as far along its way as that is a gain.
+    With a finish it works in rounds. After each round the contact is computed again, and only the part of the step that
+    is a gain is taken.
     """
     finish = error.outcomes[0].finish
     hangs = error.touch(z)
@@ -299,7 +300,7 @@ def _take_steps(
 
 
 def _mark_free(hangs: Mask, beside: float) -> Array:
-    """Return 1 where heights may move, 0 where a pad hangs and within `beside` vertices of there."""
+    """Return 1 where heights may move, 0 where a pad bridges and within `beside` vertices of there."""
     if not hangs.any():
         return np.ones(hangs.shape)
     near = binary_dilation(hangs, iterations=max(1, round(beside)))

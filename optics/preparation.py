@@ -1,14 +1,14 @@
-"""Prepares a picture for what a wall will show: puts contrast and tones where detail of the attainable size is visible.
+"""Prepares a picture for a wall: puts contrast and tones where detail of the attainable size is visible.
 
-Theory of operation: the picture's lightness is taken apart into layers by three guided filters (He, Sun, Tang 2010) of
-growing window, 0.75, 3 and 9 times the smallest detail that shows. They smooth what is fainter than an edge and leave
-strong edges in the base, so that what is raised has no halo that the wall would show. The layer above the detail is
-raised most; the finer one, too, since the wall's blur takes most of it and what it leaves is the sharpness of eyes and
-mouths. The tones of the base are stretched where the layers are busy, at the cost of even areas (sky, wall, coat): a
-partial histogram equalisation with a limited slope (Pizer 1987), weighted by structure (Ward 1997). What then goes
-beyond black and white is bent back softly, for scaling all down would cost the contrast that was won.
-Gains, windows and limits were chosen on blurred, grainy walls of photographs, by structural similarity to the original
-with its local contrast normalised, by the contrast of faces alone, and by looking at them.
+Theory of operation: three guided filters split the picture's lightness into layers (He, Sun, Tang 2010) of
+growing window, 0.75, 3 and 9 times the smallest detail that shows. They smooth structure fainter than an edge and leave
+strong edges in the base, so that raised layers have no visible halo. The layer above the detail is raised most; the
+finer one is raised too, because the wall's blur takes most of it, and the rest is the sharpness of eyes and mouths. The
+tones of the base are stretched where the layers are busy, at the cost of even areas (sky, wall, coat): a partial
+histogram equalisation with a limited slope (Pizer 1987), weighted by structure (Ward 1997). Tones beyond black and
+white are then compressed softly, because scaling everything down would cost the contrast gained. Gains, windows and
+limits were chosen on blurred, grainy walls of photographs, by structural similarity to the original with its local
+contrast normalised, by the contrast of faces alone, and by looking at them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _WINDOWS = (0.75, 3.0, 9.0)  # of the guided filters, in details
 _GAINS = (1.6, 1.8, 1.3)  # of the layers between them, finest first
 _EDGE = 0.2  # lightness: fainter steps are detail
 _STRETCH = 0.3  # share of the equalised tone curve, the rest leaves tones as they are
-_STEEPEST = 2.5  # slope of the equalised curve, so that faint noise is not made a picture
+_STEEPEST = 2.5  # slope of the equalised curve, so that faint noise is not amplified
 _TONES, _TONE_BLUR = 256, 6.0
 _CLIPPED = 0.001  # of the pixels, brighter than white
 _KNEE = 0.05  # lightness: how far from black and white tones begin to bend
@@ -38,9 +38,10 @@ def prepare_picture(linear: Array, detail_px: float, *, black: float = 0.0) -> A
 
     linear    : (ny, nx) linear light >= 0
     detail_px : smallest detail that will show, in pixels: the full width at half maximum of what blurs the wall
-    black     : light of the darkest pixels as a share of the mean; what valleys leak anyway, so none of it shows
+    black     : light of the darkest pixels as a share of the mean; below what valleys leak anyway, so no detail there
+    is visible
     returns   : (ny, nx) linear light; the same array where the picture has two tones only, which no contrast can help
-    Raises TargetError where the detail is no size.
+    Raises TargetError if the detail is no size.
     """
     if not (np.isfinite(detail_px) and detail_px > 0):
         raise TargetError(

@@ -1,9 +1,9 @@
-"""The surface around the aperture on which all passes run out, by the coefficients of the lens's own spline.
+"""The surface around the aperture on which all passes run out, as coefficients of the lens's own spline.
 
-The slope across the rim goes on and dies out as exp(-d / fade), instead of running up or down without bound; what the
-rim's curvature adds to it dies out within a few cells, or a crease that runs out of the lens would go on as a ridge.
-Within 1 mm, from `rim_mm` on, the run-out also turns down by the droop, so that it does not lift a ball that touches
-the rim: a dark frame makes half a valley of the rim.
+The slope across the rim continues and decays as exp(-d / fade), instead of rising or falling without bound. The
+contribution of the rim's curvature decays within a few cells; otherwise a crease that reaches the rim would continue as
+a ridge. Within 1 mm, from `rim_mm` on, the run-out also turns down by the droop, so that it does not lift a ball that
+touches the rim: a dark frame makes half a valley of the rim.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _FADE_MM, _DROOP = 6.0, 0.3
 class RunOut:
     """A run-out of that many cells (y, x) on each side of a spline's coefficients, on its own grid of dy_mm by dx_mm.
 
-    rim_mm : so far the surface goes on without the droop
+    rim_mm : width in which the surface continues without the droop
     """
 
     cells: tuple[int, int]

@@ -1,8 +1,9 @@
-"""The colours of a light as an eye weighs them, and how far a material's index for each lies from their mean.
+"""The colours of a light, weighted by the eye's sensitivity, and the deviation of a material's index for each from
+their mean.
 
-A material's index follows Cauchy's law, n = A + B / wavelength^2; B follows from its dispersion n_F - n_C. So what a
-spectrum does is the same in all materials but for that factor, and is counted here in shares of n_F - n_C. Plain
-Python, for those who work without arrays.
+A material's index follows Cauchy's law, n = A + B / wavelength^2; B follows from its dispersion n_F - n_C. So the
+effect of a spectrum is the same in all materials except for that factor, and is expressed here in units of n_F - n_C.
+Plain Python, for callers without arrays.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Spectrum:
 
     @property
     def above_white(self) -> float:
-        """The mean index less that of a white LED's light [share of n_F - n_C]; 0 of a wavelength that is not named."""
+        """The mean index minus that of a white LED's light [share of n_F - n_C]; 0 for an unnamed wavelength."""
         return _mean_share(self) - _mean_share(Spectrum(kind="white")) if self.is_spread else 0.0
 
 
@@ -81,7 +82,7 @@ def luminous_efficiency(nm: float) -> float:
 
 
 def _share(nm: float) -> float:
-    """Return the index at a wavelength less that of the longest waves [share of n_F - n_C], by Cauchy's law."""
+    """Return the index at a wavelength minus that of the longest waves [share of n_F - n_C], by Cauchy's law."""
     return nm**-2 / (_F_NM**-2 - _C_NM**-2)
 
 
@@ -108,7 +109,7 @@ def _split(spectrum: Spectrum, parts: int) -> tuple[float, ...]:
 
 
 def _between(x: list[float], y: list[float], at: float) -> float:
-    """Return y at `at` between ascending x, straight between them."""
+    """Return y at `at`, interpolated linearly between ascending x."""
     k = next((k for k in range(1, len(x)) if x[k] >= at), len(x) - 1)
     step = x[k] - x[k - 1]
     return y[k] if step <= 0.0 else y[k - 1] + (y[k] - y[k - 1]) * min((at - x[k - 1]) / step, 1.0)

@@ -26,7 +26,7 @@ def _fit_columns(lo: int, hi: int, nodes: Array, coefs: Array) -> None:
     """Compute coefficients (n + 2, m) of cubic splines down columns lo .. hi - 1 of nodes (n, m), n >= 4, not-a-knot.
 
     The third-derivative continuity at the second node, together with (c[i-1] + 4 c[i] + c[i+1]) / 6 = f[i], gives
-    c[1] = f[1] - (f[0] - 2 f[1] + f[2]) / 6 in closed form; what is left is one tridiagonal system (Thomas).
+    c[1] = f[1] - (f[0] - 2 f[1] + f[2]) / 6 in closed form; the rest is one tridiagonal system (Thomas).
     """
     n = nodes.shape[0]
     for k in range(lo, hi):
@@ -161,7 +161,7 @@ class BicubicSpline:
 
     @property
     def kernel_arguments(self) -> tuple[Array, float, float, float, float]:
-        """What `spline_jet` takes before the point: coefficients, origin, inverse spacings."""
+        """Arguments of `spline_jet` before the point: coefficients, origin, inverse spacings."""
         return self.coefs, self.x0_mm, self.y0_mm, 1.0 / self.dx_mm, 1.0 / self.dy_mm
 
     def jets(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:

@@ -1,8 +1,9 @@
 """The effect of an inexact set-up on the picture: wall too near or far, tilted light, a source with a size.
 
 Everything is simulated with the lens as it is, against the same target. A shift of the picture as a whole is reported
-and then taken out: a person moves the wall's frame, not the lens. Light from a disc is light from its middle, spread on
-the wall over the disc that the source makes of a point: within some tenths of a dB of many beams, at the price of one.
+and then taken out: a person moves the wall's frame, not the lens. Light from a disc is simulated as light from its
+middle, spread on the wall over the disc that the source makes of a point: within some tenths of a dB of many beams, at
+the cost of one.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ SOURCES_DEG = (0.1, 0.25, SUN_DEG, 1.0)
 FOCUS_LOSS_DB = 3.0
 _WIDEST = 0.2  # of the throw: no depth of focus is claimed beyond
 _RAYS = 96  # along a side, for the picture's shift
-_BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from where the picture may lie to where it does
-_FINE = 2  # blurred in half pixels: whole ones, each evenly lit, would blur by themselves
+_BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from a rough to an exact search of the picture's place
+_FINE = 2  # blurred in half pixels: whole pixels, each evenly lit, would add a blur of their own
 # Tubes along a side of a cell. Fewer than 4 miss some error, the same one near focus: it is added from the middle's.
 _TUBES, _TUBES_COARSE = 2, 1
 _BEAMS = 8  # two colours of the light of a changed set-up; what they miss near focus is added from the middle's
 _WALL_STEPS = 4
-_NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and aslant: not yet far out of focus, where the coarse are within 0.35 dB
+_NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and tilt: still near focus, where the coarse are within 0.35 dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,7 +85,7 @@ class IndexPoint:
 class Tolerances:
     """focus ascends from near to far, with the design's own throw among it; tilts and sources ascend.
 
-    index          : of a block whose index is higher by as much as it may be; None where that is not known
+    index          : of a block whose index is higher by as much as it may be; None if that is not known
     focus_range_mm : offsets of the wall, near (negative) and far, at which FOCUS_LOSS_DB of the picture are lost
     blur_mm, _px   : diameter of the disc that the bench's own light makes of a point; 0 for light without size
     """
@@ -100,7 +101,7 @@ class Tolerances:
 
 
 def without_size(bench: Bench) -> Bench:
-    """Return the light from the middle of its source alone."""
+    """Return the bench with light only from the middle of its source."""
     return replace(bench, light=replace(bench.light, middle_only=True))
 
 
@@ -127,7 +128,7 @@ def lens_tolerances(
 ) -> Tolerances:
     """Return tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 19 simulations.
 
-    sharp        : irradiance of `sharp_light`, where it is known
+    sharp        : irradiance of `sharp_light`, if it is known
     index_spread : how far the block's index may be off; None: not known
     """
     report = on_progress or (lambda share: None)
@@ -165,8 +166,8 @@ def source_rad(heightfield: Heightfield, bench: Bench) -> float:
 def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:
     """Return the diameter of a point's image on the wall from a source of that angular diameter: size x distance.
 
-    Through a thin wedge light turns by as much as it turned before it: the flat face divides angles by n, the surface
-    multiplies them by n. So the index drops out, near the axis. The way is that from the surface's mean height.
+    The flat face divides the angles between beams by n, and the surface multiplies them by n, so near the axis the
+    index cancels. The distance is measured from the surface's mean height.
     """
     return size_rad * (bench.throw_mm - float(heightfield.z_mm.mean()))
 
@@ -218,8 +219,8 @@ class _View:
     def depth_of_focus(self, side: Sequence[FocusPoint], middle: FocusPoint) -> float:
         """Return the offset on one side, from points that move away from focus, where FOCUS_LOSS_DB are lost.
 
-        The mean square error that defocus adds grows as a power of the offset. One more simulation, where the points
-        say that the loss is, settles it.
+        The mean square error that defocus adds grows as a power of the offset. One more simulation, at the offset that
+        the points suggest, refines it.
         """
         least = self._error_of(middle.psnr_db)
         allowed = least * (10 ** (FOCUS_LOSS_DB / 10) - 1)
@@ -344,8 +345,8 @@ def picture_shift_mm(heightfield: Heightfield, bench: Bench, changed: Bench) -> 
 def wall_for_index_mm(heightfield: Heightfield, bench: Bench, more_index: float) -> float:
     """Return how much farther the wall must stand if the block's index is higher by that much (negative: nearer).
 
-    By rays through the lens: where it is brought, they arrive as nearly as they can where they were to, but for a shift
-    of the whole.
+    Computed from rays through the lens: at that distance they arrive as near to their intended points as possible,
+    apart from a shift of the whole picture.
     """
     jets, x, y = _rays_through(heightfield)
     meant = _arrivals(jets, x, y, bench.beam(), bench.throw_mm)
@@ -369,7 +370,7 @@ def _rays_through(heightfield: Heightfield) -> tuple[Array, Array, Array]:
 
 @njit(cache=True, nogil=True)
 def _arrivals(jets: Array, x: Array, y: Array, beam: Beam, throw: float) -> Array:
-    """Return (2, n) where rays through surface points arrive on the plane of the screen [mm]; NaN: reflected."""
+    """Return (2, n) the points where rays through surface points meet the plane of the screen [mm]; NaN: reflected."""
     out = np.empty((2, x.size))
     for k in range(x.size):
         dx, dy, dz, _, _, _ = meet(beam, x[k], y[k], jets[0, k])

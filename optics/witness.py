@@ -1,13 +1,13 @@
 """Witness marks: ripples beside the lens that show in raking light how far a finish by contact has come.
 
-Theory of operation. A finish leaves H(k) = exp(-dose (k / k0)^order) of a ripple, its dose counted in shares of the
-planned one, k0 being that of the plan. Raking light shows a ripple a cos(kx) while its slope a k H is over
+Theory of operation. A finish leaves H(k) = exp(-dose (k / k0)^order) of a ripple, where the dose is relative to the
+planned one and k0 is that of the plan. Raking light shows a ripple a cos(kx) while its slope a k H is above
 VISIBLE_SLOPE_RAD. So each ripple disappears at one dose, and a few of them bracket the dose.
 
-A ripple is as high as the pad allows. A pad touches everywhere while its own relief takes less than the mean pressure:
-a < depth (k0 / k)^order, with the depth that comes off at the planned dose. Where it does, H is exact. The ball makes a
-ripple in rows along its ridge, each at one height, in whole steps of the mill: so the mill's steps are part of the
-ripple that is known, and no move changes its height within a row.
+A ripple is as high as the pad allows. A pad touches everywhere while the relief reduces its pressure by less than the
+mean: a < depth (k0 / k)^order, with the mean removal at the planned dose. Then H is exact. The ball makes a ripple in
+rows along its ridge, each at one height in whole steps of the mill. So the mill's steps are a known part of the ripple,
+and no move changes its height within a row.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ VISIBLE_SLOPE_RAD = 1e-3
 """Slope of a ripple from which a lamp held almost flat along the surface shows it."""
 
 SHARES = (0.6, 0.8, 1.0, 1.25, 2.0)
-"""Of the planned dose: where marks disappear. The last one stays, for comparison, and for photographs."""
+"""Shares of the planned dose at which marks disappear. The last mark stays, for comparison and for photographs."""
 
-_LESS_NEEDED = (2.0, 0.6)  # left out in this order where a strip is short
+_LESS_NEEDED = (2.0, 0.6)  # left out in this order if a strip is short
 _ROWS = 6  # in a period
 _LEAST_PERIODS, _MOST_PERIODS, _LEAST_FIELD_MM = 4, 24, 5.0
 GAP_MM, LEAD_MM = 1.2, 2.0  # flat between two marks, and before the first and after the last
-_OF_CONTACT = 0.75  # of the amplitude at which a pad loses touch
-_MOST_OF_CONTACT = 1.02  # of it that a ripple in whole steps may reach
+_OF_CONTACT = 0.75  # of the amplitude at which a pad loses contact
+_MOST_OF_CONTACT = 1.02  # of that amplitude: limit of a ripple in whole steps
 _OF_CURVATURE = 0.5  # of the ball's
 _MOST_MM = 0.02
-_LEAST_SEEN = 3.0  # times the visible slope that a mark begins with
+_LEAST_SEEN = 3.0  # least initial slope of a mark, in visible slopes
 _MOST_NOISE = 0.15  # of an amplitude, by errors of rows
 _SAMPLES = 120  # in a period
 _TRIED = np.geomspace(0.2, 30.0, 600)  # k / k0
@@ -131,7 +131,7 @@ class Strip:
 
 
 def choose_strip(finish: Finish, depth_mm: float, mill: Mill, *, room_mm: float) -> Strip:
-    """Return the marks for a finish by contact that takes depth_mm off, in a strip of at most room_mm.
+    """Return the marks for a finish by contact that removes depth_mm, in a strip of at most room_mm.
 
     Raises NoMarksError.
     """
@@ -175,7 +175,7 @@ def _choose_mark(finish: Finish, depth_mm: float, mill: Mill, share: float) -> M
     period_mm = 2 * math.pi / k_rad_per_mm
     amplitude_mm = _first_harmonic_mm(tips, period_mm, mill.radius_mm)
     if amplitude_mm > _MOST_OF_CONTACT * depth_mm * (finish.k0_rad_per_mm / k_rad_per_mm) ** finish.order:
-        raise NoMarksError("steps")  # in whole ones it is too high for the pad
+        raise NoMarksError("steps")  # in whole steps it is too high for the pad
     against_noise = 2 / _ROWS * (mill.noise_mm / (_MOST_NOISE * amplitude_mm)) ** 2  # the mean of so many periods
     periods = max(_LEAST_PERIODS, math.ceil(_LEAST_FIELD_MM / period_mm), math.ceil(against_noise))
     if periods > _MOST_PERIODS:
@@ -184,7 +184,7 @@ def _choose_mark(finish: Finish, depth_mm: float, mill: Mill, share: float) -> M
 
 
 def _round_tips(amplitude_mm: float, step_mm: float, *, most_mm: float) -> tuple[float, ...]:
-    """Return tip heights of one period in whole steps: about a level, or about half a step, whichever comes nearer."""
+    """Return tip heights of one period in whole steps: around a whole level or half a step, whichever is closer."""
     wave = np.cos(2 * np.pi * (np.arange(_ROWS) + 0.5) / _ROWS)
     if step_mm == 0.0:
         return tuple(float(tip) for tip in amplitude_mm * wave)
@@ -208,7 +208,7 @@ def _solve_wave(tips_mm: Sequence[float], finish: Finish, mill: Mill, share: flo
         return math.log(max(amplitude_mm, 1e-12) * k / VISIBLE_SLOPE_RAD) - worn
 
     low, high = near / 2, near * 2
-    if excess(low) < 0 or excess(high) > 0:  # steps have made another ripple of it
+    if excess(low) < 0 or excess(high) > 0:  # rounding to steps has made a different ripple
         raise NoMarksError("slope")
     for _ in range(40):
         middle = math.sqrt(low * high)

@@ -1,12 +1,12 @@
 """Light of the witness marks: predicts it for a dose, and finds the dose from a photograph of it.
 
 Theory of operation. The strip alone is lit, straight from behind, and its light falls on paper WALL_MM away, where a
-ripple a cos(kx) makes fringes of the same period, of strength m = lever k^2 a, the lever being the way to the paper
-times (n - 1). The photograph shows a bright quadrilateral; its corners tell the perspective, and across the ridges it
-is averaged. What remains are the fringes of each mark against its flat, which are compared with
-those of the strip as it is milled, levelled at a dose. Errors of rows are in none of them: they are noise, averaged
-over all periods of a mark. The photograph's blur takes more off short fringes (as k^2) than a finish of order 1 does,
-so both can be told apart; a prior keeps the blur where order 2 cannot.
+ripple a cos(kx) makes fringes of the same period, of strength m = lever k^2 a, where lever is the distance to the paper
+times (n - 1). The photograph shows a bright quadrilateral. Its corners give the perspective; along the ridges it is
+averaged. What remains are the fringes of each mark against its flat. They are compared with those of the milled strip,
+levelled by a dose. Errors of rows are not modelled: they are noise, averaged over all periods of a mark. The
+photograph's blur takes more off short fringes (as k^2) than a finish of order 1 does, so the fit can separate the two;
+for order 2, where it cannot, a prior fixes the blur.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WALL_MM = 20.0
 DOSE_RANGE = (0.2, 4.0)
 
 CELL_MM = 0.02
-_BEYOND_MM = 12.0  # of the strip: flat, and far enough for a finish to see
+_BEYOND_MM = 12.0  # of the strip: flat, and long enough for the reach of a finish
 _SAMPLES_PER_MM, _ACROSS = 40, 48
 _BORDER = 0.3  # of the strip's width at either rim that is left out
 _WHITE, _MOST_WHITE = 0.97, 0.02
@@ -41,9 +41,9 @@ _COVERED_MM = np.linspace(-0.25, 1.0, 6)  # of either end of the strip, by tape
 _LEAST_BLUR_MM, _BLUR_SPREAD = 0.01, 0.2  # of the logarithm of the blur that the strip's ends show
 _EDGE_MM = 0.8  # of the light at either end, from which its blur is taken
 _LEVER_SPREAD = 0.05
-_FLOOR = 0.004  # of the mean light: what the model misses
+_FLOOR = 0.004  # share of the mean light that the model misses
 _OFF = 0.05  # likewise, of the fringes
-_BESIDE = (0.55, 1.45, 1.6)  # of a mark's wave number: where nothing is expected
+_BESIDE = (0.55, 1.45, 1.6)  # times a mark's wave number: frequencies at which no signal is expected
 _LEAST_LIT = 0.02  # of the camera's white
 _LEAST_PIXELS_PER_MM = 8.0
 
@@ -91,7 +91,7 @@ def strip_heights_mm(strip: Strip, *, noise_mm: float = 0.0, seed: int = 0) -> t
 
 
 def finish_strip(heights_mm: Array, finish: Finish, dose: float) -> Array:
-    """Return heights (n,) after that share of the planned dose, uniform across; the strip has flat at its ends."""
+    """Return heights (n,) after that share of the planned dose, uniform across; the strip is flat at its ends."""
     k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * CELL_MM)
     return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * finish.after(dose).kept(k), type=1))
 
@@ -148,7 +148,7 @@ def _edge_variance_mm2(light: Array) -> float:
 
 
 def fit_dose(seen: StripLight, strip: Strip, finish: Finish, *, refractive_index: float) -> DoseReading:
-    """Return the share of the planned dose that the light shows, whichever way round the strip was photographed."""
+    """Return the share of the planned dose that the light shows; the strip may be photographed either way round."""
     ways = [_align_fringes(strip, seen.light[::way]) for way in (1, -1)]
     fits = [_fit(*way, seen.blur_mm, strip, finish, (refractive_index - 1) * WALL_MM) for way in ways]
     return min(fits, key=lambda one: one.misfit)
@@ -209,7 +209,7 @@ def _measure_fringes(strip: Strip, light: Array, before_mm: float, after_mm: flo
 
 
 def _window(away_mm: Array, width_mm: float) -> Array:
-    """Return weights (n,) of whole periods in the middle of a mark, falling to its ends as a cosine does."""
+    """Return weights (n,) of whole periods in the middle of a mark, falling off as a cosine toward its ends."""
     share = np.clip(away_mm / width_mm, 0.0, 1.0)
     return np.asarray(np.sin(math.pi * share) ** 2)
 

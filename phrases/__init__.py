@@ -1,1 +1,1 @@
-"""What people are told, in a form that every language can be made of; below all other packages."""
+"""Sentences for people, in a form that can be translated into every language; imports no other package."""

@@ -45,7 +45,7 @@ class Phrase(str):
         return cls(text.replace("{", "{{").replace("}", "}}"))
 
     def __str__(self) -> str:
-        """Return itself: `str(error)` of an error that was told by a phrase is the phrase."""
+        """Return itself, so that `str(error)` of an error that was made from a phrase is the phrase."""
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,5 +1,5 @@
-"""What the server's processes log on stderr, with the ids of job, attempt, stage and executor: a line of JSON each, or
-short lines for a person at a terminal.
+"""The logs of the server's processes on stderr, with the ids of job, attempt, stage and executor: one line of JSON for
+each entry, or short lines for a person at a terminal.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ Processors = list[structlog.typing.Processor]
 
 
 def configure_logs(level: str, *, form: str, **ids: object) -> None:
-    """Send structlog's words, and those of libraries (warnings and worse), to stderr. `ids` stand in every line.
+    """Send the entries of structlog, and those of libraries (warnings and worse), to stderr. `ids` are in every line.
 
     form : of settings.log_format
     """
@@ -49,7 +49,7 @@ def _json(shared: Processors) -> tuple[Processors, structlog.typing.Processor]:
 
 
 def _people(shared: Processors) -> tuple[Processors, structlog.typing.Processor]:
-    """Return the time of day, the level, what happened: no colours, which a pager would show as signs."""
+    """Return time of day, level and event, without colours, which a pager would show as escape codes."""
     stamp = structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False)
     plain = structlog.dev.plain_traceback
     return [*shared, stamp], structlog.dev.ConsoleRenderer(colors=False, exception_formatter=plain)

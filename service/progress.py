@@ -1,4 +1,4 @@
-"""How a command tells what it is doing: a bar per stage on a terminal, plain lines otherwise, nothing when quiet."""
+"""Progress of a command: a bar per stage on a terminal, plain lines otherwise, nothing when quiet."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Fraction = Callable[[float], None]
 
 
 class Reporter(Protocol):
-    """Told when a stage starts, how far it is (0 to 1), and when it has ended. Stages may overlap."""
+    """Receives the start of each stage, its progress (0 to 1), and its end. Stages may overlap."""
 
     def start_stage(self, stage: str) -> None: ...
     def report_share(self, stage: str, share: float) -> None: ...
@@ -24,7 +24,7 @@ class Reporter(Protocol):
 
 
 class QuietReporter:
-    """Says nothing."""
+    """Reports nothing."""
 
     def start_stage(self, stage: str) -> None: ...
     def report_share(self, stage: str, share: float) -> None: ...
@@ -73,7 +73,7 @@ class TerminalReporter:
 
 
 class Stopwatch:
-    """Times stages and tells the reporter; `timings_s` is what report.json holds."""
+    """Times stages and informs the reporter; `timings_s` goes to report.json."""
 
     def __init__(self, reporter: Reporter) -> None:
         self._reporter = reporter
@@ -81,7 +81,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Fraction]:
-        """Run a stage; yields the function that takes its share done."""
+        """Time a stage; yield the function to call with the share done."""
         begun = time.perf_counter()
         self._reporter.start_stage(name)
         yield lambda share: self._reporter.report_share(name, share)
@@ -92,7 +92,7 @@ class Stopwatch:
 
 @contextmanager
 def report_progress(quiet: bool) -> Iterator[Reporter]:
-    """Yield what suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
+    """Yield the reporter for the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
     if quiet:
         yield QuietReporter()
     elif sys.stdout.isatty():

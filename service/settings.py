@@ -18,8 +18,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from service.errors import InputError, printable
 
 PREFIX = "CAUSTICMILL_"
-SAFE_SHARE = 0.6  # of a lease: a worker that has not renewed it for so long stops, well before others take over
-# Read elsewhere: by clients, profiles, secrets, the command itself. TRIAL... belong to the trials of the server.
+SAFE_SHARE = 0.6  # of a lease: a worker that has not renewed it for that share stops, well before others take over
+# Variables that are read elsewhere: by clients, profiles, secrets, the command itself. TRIAL... are for the trials of
+# the server.
 _OTHERS = ("SERVER", "TOKEN", "CONFIG_DIR", "SECRETS", "BEGAN", "PUBLISHED_PORT")
 _TRIALS = ("TRIAL", "BENCH_", "FUZZ_", "SLOW", "REWRITE_")
 
@@ -115,7 +116,7 @@ class ServerSettings(BaseSettings):
 
     @property
     def plans(self) -> Path:
-        """Plans made by estimates and jobs, for those that come after them: see `job/stages/kept_plans`."""
+        """Folder of plans that estimates and jobs made, for later ones: see `job/stages/kept_plans`."""
         return self.data / "plans"
 
     @property

@@ -1,1 +1,1 @@
-"""What is milled around the passes of the lens: a trace in the air, facing, cutting out with tabs; and its check."""
+"""What is milled before and after the passes of the lens: a trace in the air, facing, cutting out; and their check."""

@@ -1,8 +1,8 @@
-"""The check of facing, witness marks and cutting out: the written program is read back and cut in the computer.
+"""The check of facing, witness marks and cutting out: reads the written program back and simulates the cut.
 
 Nothing of the generator is used, as in the check of passes: text -> moves (cam.reading) -> stock left, time
-(cam.duration), rules for single moves. That the lens is not touched is shown twice: by cells of the stock that is left,
-and by the distance of every move in stock from the outline, which knows no cells.
+(cam.duration), rules for single moves. Two tests show that the lens is not touched: the cells of the remaining stock,
+and the distance of every move in stock from the outline, which does not depend on cells.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Tab:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AroundCheck:
-    """What a program beside the passes does. `faults` are sentences; a program without any is `ok`.
+    """The result for a program before or after the passes. `faults` are sentences; a program without any is `ok`.
 
     gouge_um   : how far a facing cuts below Z0, or a cut-out into the lens
     left_um    : of a facing: the highest stock above Z0 that it leaves; of a cut-out: in the slot beside the tabs
@@ -77,7 +77,7 @@ class AroundCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckedMill:
-    """What the check must know of the mill. digit_mm, xy_digit_mm: the raster of the positions written."""
+    """The mill's data for the check. digit_mm, xy_digit_mm: resolution of the written positions."""
 
     kinematics: Kinematics
     safe_z_mm: float
@@ -168,7 +168,7 @@ def check_witness(
     mill: CheckedMill,
     corners_mm: Array,
 ) -> AroundCheck:
-    """Cut the program into stock_top: nothing is touched but the strip, and each row is there, at its height.
+    """Cut the program into stock_top: only the strip is touched, and each row is there, at its height.
 
     corners_mm (k, 2) : of the lens, counter-clockwise
     """
@@ -202,7 +202,7 @@ def check_witness(
 
 
 def _off_witness(task: WitnessCut, after: StockGrid) -> float:
-    """Return how far the stock in the middle of the strip, from row to row, is off what a ball leaves in its rows."""
+    """Return the deviation of the stock in the middle of the strip from what a ball leaves in its rows."""
     u, other = (after.x_mm, after.y_mm) if task.along == "x" else (after.y_mm, after.x_mm)
     inside = (u > task.places_mm[0]) & (u < task.places_mm[-1])
     middle = int(np.abs(other - sum(task.across_mm) / 2).argmin())

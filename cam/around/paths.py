@@ -1,6 +1,6 @@
 """Paths around the lens: facing the block, witness marks in its margin, cutting the lens out, and a trace in the air.
 
-Facing: the cutter comes down beside the block and cuts into its side, so nothing is entered from above. The first row
+Facing: the cutter comes down beside the block and cuts in from the side, so it never plunges into stock. The first row
 goes along the block's front edge, half over it, so no row is a slot. Between rows the cutter turns beside the block.
 
 Witness marks: rows side by side in the margin, in one path; each at its own height.
@@ -35,7 +35,7 @@ ALLOWANCE_MM = 0.005
 """Left on the rim of the lens, so that neither chords nor the digits of a position cut into it."""
 
 _SAGITTA_MM = 0.002  # by which the chords of a corner's arc are inside it
-_STRIDE_MM = 0.2  # between the points that are asked whether the cutter fits there
+_STRIDE_MM = 0.2  # between the points at which the fit of the cutter is tested
 _STRAIGHT = 1e-9
 
 
@@ -66,12 +66,13 @@ def trace_paths(
 
 
 def offset_loop(corners_mm: Array, radius_mm: float, *, allowance_mm: float = ALLOWANCE_MM) -> Array:
-    """Return the way of a cutter's axis around a closed outline, climbing: clockwise, the first point again at the end.
+    """Return the path of a cutter's axis around a closed outline: climb milling, clockwise, the first point repeated at
+    the end.
 
     corners_mm (k, 2) : counter-clockwise
     allowance_mm      : kept from the outline beside the radius; more than a digit of the positions
-    returns (n, 2)    : nowhere nearer to the outline than the radius
-    Where the outline is hollow and the cutter does not fit in, the way goes past. OutlineError where it cannot.
+    returns (n, 2)    : never nearer to the outline than the radius
+    The path passes by a hollow of the outline that the cutter does not fit into. Raises OutlineError if it cannot.
     """
     away_mm = radius_mm + allowance_mm
     points = _around_each_corner(np.asarray(corners_mm, dtype=np.float64), away_mm)
@@ -124,10 +125,10 @@ def _distances(points: Array, corners: Array) -> Array:
 
 
 def segment_distances(start: Array, end: Array, corners: Array) -> Array:
-    """Return (n,) how near straight ways from start to end, (n, 2) each, come to a closed outline (k, 2); 0 where they
-    cross.
+    """Return (n,) the least distance of straight segments from start to end, (n, 2) each, from a closed outline (k, 2);
+    0 where they cross it.
 
-    Of two segments that do not cross, the least distance is that of an end of one from the other.
+    Two segments that do not cross are nearest at an end of one of them.
     """
     found = np.minimum(_distances(start, corners), _distances(end, corners))
     step = end - start
@@ -155,7 +156,7 @@ _ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
 
 
 def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
-    """Yield the moves of the tip from safe height back to safe height; the last layer lies at Z0."""
+    """Yield the tip's moves, which begin and end at safe height; the last layer is at Z0."""
     over_mm = facing.above_mm + RAPID_CLEARANCE_MM
     if safe_z_mm < over_mm:
         raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=over_mm)
@@ -173,8 +174,7 @@ def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iter
 
 
 def make_witness_paths(task: WitnessCut, *, top_mm: float, safe_z_mm: float) -> Iterator[Path]:
-    """Yield the moves of the tip from safe height back to safe height: down a ramp along the first row, then to and
-    fro.
+    """Yield the tip's moves, which begin and end at safe height: down a ramp along the first row, then back and forth.
 
     top_mm : of the highest stock there
     """
@@ -198,9 +198,9 @@ def make_witness_paths(task: WitnessCut, *, top_mm: float, safe_z_mm: float) -> 
 def make_cut_out_paths(
     cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: float, safe_z_mm: float
 ) -> Iterator[Path]:
-    """Yield the moves of the tip from safe height back to safe height.
+    """Yield the tip's moves, which begin and end at safe height.
 
-    loop_mm (n, 2) : closed way of the axis, as `outline.offset_loop` gives it; top_mm: of the stock along it
+    loop_mm (n, 2) : closed path of the axis, as `offset_loop` gives it; top_mm: of the stock along it
     """
     over_mm = max(top_mm, 0.0) + RAPID_CLEARANCE_MM
     if safe_z_mm < over_mm:
@@ -223,7 +223,7 @@ def make_cut_out_paths(
 
 
 def find_highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> float:
-    """Return the height of the highest stock that a cutter may meet on its way."""
+    """Return the height of the highest stock that a cutter may meet along its path."""
     highest = [
         top.highest_mm(
             *(min(a[0], b[0]) - radius_mm, max(a[0], b[0]) + radius_mm),
@@ -235,7 +235,7 @@ def find_highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> floa
 
 
 class _ClosedWay:
-    """Places along a closed way by their length from its beginning, and the tabs on it."""
+    """A closed path and the tabs on it; places on it are given as the length from its beginning."""
 
     def __init__(self, loop_mm: Array, cut_out: CutOut, thickness_mm: float) -> None:
         self._run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(loop_mm, axis=0).T))])
@@ -260,7 +260,7 @@ class _ClosedWay:
             )
 
     def points(self, begin_mm: float, end_mm: float, *, ramp_mm: float, from_mm: float, to_mm: float) -> Array:
-        """Return (n, 3) from one length to another, the begin left out: sinking first, then level, never into a tab."""
+        """Return (n, 3) points from one length to another, without the first: sinking, then level, never into a tab."""
         turns = np.arange(int(end_mm // self.length_mm) + 1) * self.length_mm
         corners = (self._run[:-1] + turns[:, None]).ravel()
         tabs = (self._tab_places(to_mm) + turns[:, None]).ravel()

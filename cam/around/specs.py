@@ -1,4 +1,4 @@
-"""Facing, witness marks and cutting out as data: which cutter takes what off around the passes of the lens."""
+"""Facing, witness marks and cutting out as data: the cutter and the cuts of each."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cam.errors import PassValueError
 from phrases.phrase import Phrase
 
 FLANK_SLOPE = tan(radians(30.0))
-"""Of the ways up onto a tab and down from it."""
+"""Slope of the ramps up onto a tab and down from it."""
 
 BESIDE_MM = 1.0
-"""Between the block and a cutter that comes down beside it."""
+"""Distance between the block and a cutter that comes down beside it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class Facing:
 
     @property
     def cusp_mm(self) -> float:
-        """What stays above Z0 between two rows."""
+        """Height of the stock left above Z0 between two rows."""
         return self.cutter.cusp_mm(self.radius_mm, self.pitch_mm)
 
     @property
@@ -67,7 +67,7 @@ class Facing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutOut:
-    """The lens cut out of the block along its outline by a flat end mill, but for tabs that hold it.
+    """The lens cut out of the block along its outline by a flat end mill, except for tabs that hold it.
 
     tab_height_mm : of the tabs, from the block's bottom; tab_width_mm: along the outline, at their tops
     through_mm    : deeper than the block is thick
@@ -94,17 +94,17 @@ class CutOut:
             raise PassValueError(name="through_mm", value=self.through_mm, allowed=Phrase("0 or more"))
 
     def tab_centres_mm(self, length_mm: float) -> tuple[float, ...]:
-        """Return where along a closed way of this length the tabs stand: evenly, none at its begin."""
+        """Return the places of the tabs along a closed path of this length: evenly spaced, none at its start."""
         return tuple(length_mm * (k + 0.5) / self.tabs for k in range(self.tabs))
 
     def tab_foot_mm(self) -> float:
-        """Return the way of the cutter's axis from the middle of a tab to where it is down again."""
+        """Return the distance of the cutter's axis from the middle of a tab to the foot of its ramp."""
         return self.tab_width_mm / 2 + self.radius_mm + (self.tab_height_mm + self.through_mm) / FLANK_SLOPE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WitnessCut:
-    """Rows of a ball, each at one height, side by side in the margin: the marks by which a finish is watched.
+    """Rows of a ball, each at one height, side by side in the margin: the witness marks of a finish.
 
     along             : axis along which the rows follow one another; each runs along the other one
     places_mm         : of the rows' axes on it, rising; tips_mm: heights of the tip in each
@@ -132,7 +132,7 @@ class WitnessCut:
 
     @property
     def box_mm(self) -> tuple[float, float, float, float]:
-        """Return left, right, front and back of what the ball cuts into the block's top."""
+        """Return left, right, front and back of the area that the ball cuts in the block's top."""
         depth_mm = -self.lowest_mm
         beside_mm = sqrt(depth_mm * (2 * self.radius_mm - depth_mm))
         along = (self.places_mm[0] - beside_mm, self.places_mm[-1] + beside_mm)

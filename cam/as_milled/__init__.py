@@ -1,1 +1,1 @@
-"""The surface that a program really leaves: every groove of its ball, as facets that light can be sent through."""
+"""The surface that a program really leaves: every groove of the ball, as facets through which light is traced."""

@@ -1,9 +1,9 @@
-"""What each chord of the path leaves of itself on the surface: the part where its ball was lowest, as small facets.
+"""Computes what each chord of the path leaves on the surface: the part where its ball was lowest, as small facets.
 
-Theory of operation. What the ball shows across its track is an interval of angles, see `rivals`; along a chord its two
-ends move, and the strip between them is what the chord leaves, see `strips`. Between two chords: where the path bends
-down (a hill) both lose R / 2 times the bend to one another; where it bends up the ball at the corner shows itself
-between the two, in a strip that is treated like that of a chord.
+Theory of operation. Across its track the ball leaves an interval of angles, see `rivals`. Along a chord the two ends of
+the interval move, and the chord leaves the strip between them, see `strips`. Between two chords: if the path bends down
+(a hill), each loses R / 2 times the bend to the other; if it bends up, the ball at the corner leaves a strip between
+the two, which is treated like that of a chord.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from optics.heightfield import spline_jet
 
 _ROOM = 4096  # neighbours of one chord
 _PER_CHORD = 6 * MOST_PARTS  # facets, of itself and of the ball at its end
-_TURNED = 0.03  # rad: a frame farther from the surface's normal than this is set up anew
-_CORNERS = 0.5  # of a chord's length: parts of the balls at its end, of which short chords show narrow slivers
-_WITHIN = 0.75  # of the reach: farther from its middle a ball shows nothing, as what hides it may be out of reach
-_SPARE = 0.01  # rad: added to the tilts at which a ball may show at all
+_TURNED = 0.03  # rad: a frame that deviates more from the surface's normal is set up again
+_CORNERS = 0.5  # of a chord's length: parts of the balls at its end, of which short chords leave narrow slivers
+_WITHIN = 0.75  # of the reach: farther from its middle a ball leaves nothing, as rivals may be out of reach there
+_SPARE = 0.01  # rad: added to the tilts at which a ball can leave anything
 
 
 @njit(cache=True, nogil=True)
@@ -51,9 +51,7 @@ def slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
-    """Return how far the path rises out of the frame, per way ahead, from `reach` before chord k to as far behind
-    it.
-    """
+    """Return the rise of the path out of the frame, per distance, from `reach` before chord k to `reach` behind it."""
     first = k - 1
     while (
         c.joined[first]
@@ -104,7 +102,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  
     """Return (n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
 
     surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens, which only says where the normal is, about
-    reach   : how far a ball can be that hides something
+    reach   : greatest distance of a ball that hides something
     longest, crossed : parts of a strip that are asked for, and of one that other tracks cross
     steps_within     : of each ball's moves (slopes, half width) of what steps within them add
     """

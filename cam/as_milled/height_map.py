@@ -1,11 +1,11 @@
-"""How far a milled surface departs from its lens, cell by cell: what a finish levels.
+"""Maps the departure of a milled surface from its lens, cell by cell. A finish levels this departure.
 
-Theory of operation. The surface is the lowest of all balls on their ways. A ball cuts near its contact with the lens
-only, within `reach_of` it, so each chord lowers the few places around its contact. Where a lens is tight the contact is
-not sharp, and where the ball does not fit there is none: a place that is left high is asked for again with twice the
-reach. A cell is the mean of two places, each anywhere by lot in one of two quarters of it that touch at their corners:
-on a lattice of places the grooves of rows would beat against it and make long waves where there are none; so they make
-a little noise between neighbouring cells, which a finish levels.
+Theory of operation. The surface is the lowest of all balls on their ways. A ball cuts only near its contact with the
+lens, within `reach_of` it, so each chord lowers the few places around its contact. In tight parts of the lens the
+contact is not sharp, and where the ball does not fit there is none: places that stay high are computed again with twice
+the reach. A cell is the mean of two places, each at random in one of two quarters of the cell that touch at their
+corners. On a regular lattice of places, the grooves of rows would beat against the lattice and make false long waves;
+random places instead make a little noise between neighbouring cells, which a finish levels.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _PER_CELL = 2  # places
 _STRIPS = 4  # of rows of cells; a fixed number
 _THREADS = 2
 _MOST_REACH = 2.0  # in radii of the largest ball
-_TALL = 4.0  # standard deviations; what is left higher is asked again
-_LONGEST_MM = 0.5  # of a chord whose contact is looked up once
-_BLOCK_MM = 1.0  # of chords that are passed over together
+_TALL = 4.0  # standard deviations; places that stay higher are computed again
+_LONGEST_MM = 0.5  # longest chord for which one contact point is computed
+_BLOCK_MM = 1.0  # of chords that are skipped together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +50,9 @@ class DepartureMap:
 
 
 class _Places(NamedTuple):
-    """Where places are: place (j, i) lies in the rectangle of sides (dx, dy) whose corner is (x0 + i dx, y0 + j dy)."""
+    """The lattice of places: place (j, i) lies in the rectangle of sides (dx, dy) whose corner is (x0 + i dx, y0 + j
+    dy).
+    """
 
     x0: float
     y0: float
@@ -156,8 +158,8 @@ def _find_next(wanted):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _draw_lots(first, lots):  # type: ignore[no-untyped-def]
-    """Draw places in their halves of cells, from 0 to 1 in x and y (ny, nx, 2), rows from `first` on: by lot, the
-    same for the same place (a finaliser of hashes, after Mueller), in the lower quarter or in the upper one by turns.
+    """Draw random places in their halves of cells, from 0 to 1 in x and y (ny, nx, 2), rows from `first` on. They are
+    the same for the same place (a hash finaliser, after Mueller), alternately in the lower and in the upper quarter.
     """
     for j in range(lots.shape[0]):
         for i in range(lots.shape[1]):
@@ -172,7 +174,7 @@ def _draw_lots(first, lots):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _lower(tips, joined, radius, lens, reach, places, first, lots, blocks, onward, low):  # type: ignore[no-untyped-def]
-    """Lower places, of rows from `first` on, to the ball on its way; only those that are met by going `onward`."""
+    """Lower places, of rows from `first` on, to the ball along its path; only those met in the direction `onward`."""
     ny, nx = low.shape
     px = py = 0.0
     steps = 8
@@ -215,7 +217,7 @@ def _lower(tips, joined, radius, lens, reach, places, first, lots, blocks, onwar
                 u, w = dx * ex + dy * ey, dx * ey - dy * ex
                 off = max(0.0, -u, u - length)
                 if lowest + bulge * (w * w + off * off) >= low[j, i]:
-                    continue  # a ball is above its parabola
+                    continue  # a ball lies above its parabola
                 rho2 = radius * radius - w * w
                 if rho2 <= 0.0:
                     continue

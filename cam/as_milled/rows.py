@@ -1,4 +1,4 @@
-"""Tracks of a finishing pass before its program is written: the same rows as the program will have, in memory."""
+"""Tracks of a finishing pass before its program is written: the rows that the program will have, in memory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make_tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: D
 
 
 def find_touched_surface(heightfield: Heightfield, radius_mm: float, direction: Direction) -> ToolSurface:
-    """Return the touched surface as rows in that direction see it: x and y exchanged for rows along y."""
+    """Return the touched surface in the frame of rows of that direction: x and y exchanged for rows along y."""
     return ToolSurface.over(heightfield if direction == "x" else turn_lens(heightfield), radius_mm=radius_mm)
 
 
@@ -53,7 +53,8 @@ def sample_facets(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     surface: ToolSurface | None = None,
 ) -> tuple[Array, ...]:
-    """Return (n, 4, 5) facets of four squares of the lens, of 150 rows each at most: what such rows do to its slopes.
+    """Return (n, 4, 5) facets of four squares of the lens, of 150 rows each at most, which show the effect of such rows
+    on its slopes.
 
     surface : `find_touched_surface` of this ball, if the caller has it already
     """

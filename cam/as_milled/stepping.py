@@ -1,11 +1,12 @@
-"""What the steps of an axis within moves add to slopes along them, asked of every ball around a few places of a pass.
+"""Measures what the steps of an axis within moves add to slopes along them, by simulating every ball around a few
+places of a pass.
 
-A mill goes from one end of a move to the other by whole steps, as Bresenham's line does. The ball leaves a tooth for
-each step of Z; neighbouring rows, whose teeth are elsewhere, cut parts of them off. A facet for each of what is left
+A mill goes from one end of a move to the other in whole steps, as Bresenham's line does. The ball leaves a tooth for
+each step of Z; neighbouring rows, whose teeth are elsewhere, cut parts of them off. A facet for each remaining piece
 would take ten times as long as one for each move. So teeth are measured by brute force, at some hundred moves of all
 slopes, between the neighbours that they have, with their own lengths, noise and rounding; once straight and once by
-steps. Facets have their slopes spread evenly by as much as the latter have more in the mean square, by the slope of
-their move. Over lenses of 100 mm, steps of 4 um and vertices on whole steps, the rms along rows is within 5 % of brute
+steps. The slopes of facets are then spread evenly by the difference in the mean square, which depends on the slope of
+the move. Over lenses of 100 mm, steps of 4 um and vertices on whole steps, the rms along rows is within 5 % of brute
 force; straight moves alone have a seventh of it. Where rounding of vertices makes more slopes than steps do, these take
 off 7 % at most, which is left out.
 """
@@ -27,9 +28,9 @@ from optics.heightfield import Heightfield, spline_jet
 
 _KNOTS, _POINTS = 12, 50  # slopes; points around each place
 _FEWEST_PLACES, _MOST_PLACES = 4, 16  # for each slope: one more for every _MOVES
-_APART = 1e-9  # of knots, so that one lies beyond the other where all moves are level
-_RUN = 64  # moves that are passed over together where none of them comes near
-_LEVEL = 1.5  # power of shares: more of the slopes are low, where teeth change most
+_APART = 1e-9  # between knots, so that they stay in order if all moves are level
+_RUN = 64  # moves that are skipped together if none of them comes near
+_LEVEL = 1.5  # power of shares: more knots at low slopes, where teeth change most
 _MOVES = 20_000  # of a pass, from which places are chosen
 
 
@@ -55,7 +56,9 @@ def measure_spread(tracks: Sequence[Tracks], lens: Heightfield, *, step_mm: floa
 
 
 def _choose_moves(tracks: Tracks, lens: Heightfield, reach_mm: float) -> NDArray[np.int64]:
-    """Return the numbers of moves over the lens, as many for each knot, the most level first; none where none is."""
+    """Return the numbers of moves over the lens, equally many for each knot, the most level first; empty if there are
+    none.
+    """
     middle = tracks.tips_mm[:, :2].copy()
     middle[1:] += tracks.tips_mm[:-1, :2]
     low, high = (np.array([lens.x_mm[end], lens.y_mm[end]]) for end in (0, -1))
@@ -64,7 +67,7 @@ def _choose_moves(tracks: Tracks, lens: Heightfield, reach_mm: float) -> NDArray
     moves = moves[:: max(1, len(moves) // _MOVES)]
     ways = tracks.tips_mm[moves] - tracks.tips_mm[moves - 1]
     rise, run = np.abs(ways[:, 2]), np.hypot(ways[:, 0], ways[:, 1])
-    moves, slopes = moves[rise < run], rise[rise < run] / run[rise < run]  # what does not move in plan has no slope
+    moves, slopes = moves[rise < run], rise[rise < run] / run[rise < run]  # a move without motion in plan has no slope
     count = _KNOTS * min(_FEWEST_PLACES + len(tracks.joined) // _MOVES, _MOST_PLACES)
     shares = ((np.arange(count) + 0.5) / count) ** _LEVEL
     chosen = (shares * len(moves)).astype(np.int64)
@@ -75,7 +78,7 @@ def _choose_moves(tracks: Tracks, lens: Heightfield, reach_mm: float) -> NDArray
 def run_by_steps(tips, k, step, out):  # type: ignore[no-untyped-def]
     """Write the tips between both ends of move k, where its axis begins and ends a step of Z; return their number.
 
-    What is no whole step, as of noise, is spread along the move.
+    A remainder that is not a whole step, such as noise, is spread along the move.
     """
     dx, dy, dz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
     count = int(max(abs(dx), abs(dy), abs(dz)) / step + 0.5)
@@ -147,7 +150,7 @@ def _box_runs(tips):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _list_moves_near(tips, joined, runs, x, y, half):  # type: ignore[no-untyped-def]
-    """Return the numbers of moves that may come within `half` of (x, y) along either axis."""
+    """Return the numbers of the moves that may come within `half` of (x, y) along either axis."""
     near = [int(np.int64(0)) for _ in range(0)]
     for n in range(runs.shape[0]):
         if _is_near(runs[n], x, y, half):

@@ -1,4 +1,4 @@
-"""Strips of the surface, between the two ends of what a ball shows while it moves, cut into facets.
+"""Strips of the surface that a moving ball leaves, between the two ends of its visible angles, cut into facets.
 
 What a ball shows of itself between its rivals, the neighbouring chords, is one interval of angles across its track. A
 point of the ball with centre c and radius R is c + R v, v a unit vector. It lies outside another ball of the path, d
@@ -26,7 +26,7 @@ from numba import njit
 
 FACTS = 11  # of one rival, see `turn_to_frame`
 WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
-_CROSSING = 0.3  # tangent of the angle at which tracks cross
+_CROSSING = 0.3  # tangent of the least angle at which tracks count as crossing
 _POINT = 1e-18  # mm: half the square of a chord that is none in its frame, over the radius
 _TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
 
@@ -170,7 +170,7 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
 
 
 MOST_PARTS = 81  # of a strip
-STEEPEST = 0.6  # rad: no ball shows more of itself along its track
+STEEPEST = 0.6  # rad: no ball leaves a larger angle along its track
 
 
 class Strip(NamedTuple):
@@ -215,7 +215,7 @@ def bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
-    """Return what a chord loses to the next one beyond a hill; 0 where that is too short to matter."""
+    """Return what a chord loses to the next one beyond a hill; 0 if that is too short to matter."""
     loss = -0.5 * radius * min(bend[0] - bend[1] * across, 0.0)
     return loss if loss < bend[2] else 0.0
 

@@ -1,6 +1,6 @@
 """The milled surface as a whole: parts that can be made one by one, in any order, by any thread.
 
-Where facets are too many and a map is wanted, its heights are found on a grid.
+If there are too many facets and only a height map is needed, the heights are computed on a grid.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CROSSED = 1 / 6  # of the pitch: parts of a strip that other tracks cross
 
 
 def reach_of(radius_mm: float, *, pitch_mm: float, error_mm: float) -> float:
-    """Return how far from its contact a ball cuts anything that no neighbour cuts deeper.
+    """Return how far from its contact a ball cuts surface that no neighbouring ball cuts deeper.
 
     error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around. (Half as
     far again changes the light of rows of a 4 mm ball, 0.03 mm apart and off by 1.5 um, by 60 dB, and takes twice as
@@ -42,8 +42,8 @@ def reach_of(radius_mm: float, *, pitch_mm: float, error_mm: float) -> float:
 class MilledSurface:
     """What finishing programs leave, as facets: `part(0)` .. `part(parts - 1)`.
 
-    reach_mm   : balls farther apart than this do not hide anything of one another
-    crossed_mm : how long a facet is at most where another track runs across
+    reach_mm   : balls farther apart than this do not affect each other's cut
+    crossed_mm : greatest length of a facet where another track crosses
     steps_within : what steps within moves add
     """
 
@@ -92,11 +92,11 @@ class MilledSurface:
 
 
 _SHARES = 2
-_AT_ONCE = 20_000  # moves between two looks at how high the stock still is
+_AT_ONCE = 20_000  # moves between two updates of the stock's height
 
 
 def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
-    """Return what the balls of these tracks leave of the stock, exact at the centres of its cells.
+    """Return the stock that the balls of these tracks leave, exact at the centres of its cells.
 
     before : best little above the surface: then the balls have little to go over
     """
@@ -116,7 +116,7 @@ def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
 
 
 def _chains(tracks: Tracks) -> list[Array]:
-    """Return the tips of each unbroken way."""
+    """Return the tips of each unbroken path."""
     begins = np.flatnonzero(~tracks.joined)
     return [chain for chain in np.split(tracks.tips_mm, begins[begins > 0]) if len(chain) > 1]
 

@@ -1,11 +1,11 @@
-"""Where the tool really goes: a program's cutting moves as chains of tips, on the machine's steps and with its errors.
+"""The tool's real path: a program's cutting moves as chains of tips, on the machine's steps and with its errors.
 
-A move ends where the program says, rounded to the step of each axis; between its ends it is straight: what the steps
-within it do to slopes is added to facets, see `stepping`. Rapids and moves straight up or down cut no surface, so they
-only part one chain from the next.
+A move ends where the program says, rounded to the step of each axis; between its ends it is straight; the effect of the
+steps within it on slopes is added to facets, see `stepping`. Rapids and vertical moves cut no surface, so they only
+separate chains.
 
-Two kinds of errors: heights are off by one value a row, or wander along an unbroken path (paper, Fig. 15c); and screws
-move an axis a little too far and too short once in every turn.
+Two kinds of errors: heights are off by one value per row, or wander along an unbroken path (paper, Fig. 15c); and
+screws move an axis a little too far and too short once in every turn.
 
 The chords of all tracks lie in square boxes by their middles, so that the neighbours of one are found at once.
 """
@@ -26,10 +26,10 @@ from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
 
 WANDER_MM = 10.0
-"""Along a path without entries the error keeps for about this way: that of a heavy axis, not that of chatter. A guess,
-and a harmless one: rows of a 1 mm ball at pitch 0.05 mm over 16 mm, 0.5 µm of noise. Against the light of the design
-22.5, 22.6, 22.7 dB for 5, 10, 20 mm (22.9 without noise, 22.5 with one error a row), slopes across 19.4, 18.8, 17.9
-mrad (14.5, 19.5); along the path 1.9, 1.4, 1.1 mrad.
+"""Along a path without entries the error persists for about this distance: the error of a heavy axis, not of chatter.
+This is a guess, and a harmless one: rows of a 1 mm ball at pitch 0.05 mm over 16 mm, 0.5 µm of noise. Against the light
+of the design 22.5, 22.6, 22.7 dB for 5, 10, 20 mm (22.9 without noise, 22.5 with one error a row), slopes across 19.4,
+18.8, 17.9 mrad (14.5, 19.5); along the path 1.9, 1.4, 1.1 mrad.
 """
 
 SEED = 20140511
@@ -45,7 +45,7 @@ class Noise:
     sigma_mm  : standard deviation
     rows_run  : "x" or "y": each row of that direction has an error of its own (a collision at its beginning that is
                 carried along, as in the paper); None: an error that is new at every entry and wanders along the path
-    wander_mm : way after which a wandering error has forgotten 63 % of itself
+    wander_mm : length after which a wandering error has lost 63 % of its memory
     """
 
     sigma_mm: float
@@ -69,7 +69,7 @@ class Noise:
 
 
 def _row_numbers(across_mm: Array, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return row numbers (n,) of tips: each stretch of equal `across_mm` is a row; what lies between two goes with the
+    """Return row numbers (n,) of tips: each stretch of equal `across_mm` is a row; tips between two rows belong to the
     one before.
     """
     along = np.zeros(across_mm.size, dtype=np.bool_)
@@ -96,7 +96,7 @@ class Screws:
     """Triples are X, Y, Z.
 
     error_mm : amplitude of the error of an axis
-    lead_mm  : way of the axis in a turn of its screw
+    lead_mm  : travel of the axis per turn of its screw
     """
 
     error_mm: tuple[float, float, float]
@@ -104,12 +104,12 @@ class Screws:
 
     @property
     def longest_mm(self) -> float:
-        """How long a chord may be in plan that still follows the waves of X and Y, and of Z on slopes up to 1."""
+        """Greatest length in plan of a chord that still follows the waves of X and Y, and of Z on slopes up to 1."""
         leads = [lead for error, lead in zip(self.error_mm, self.lead_mm, strict=True) if error > 0]
         return min(leads, default=math.inf) / _PER_TURN
 
     def errors_mm(self, tips_mm: Array) -> Array:
-        """Return by how much tips (n, 3) are off; where in its turn a screw stands at zero is not known: at its own."""
+        """Return the errors of tips (n, 3). The phase of a screw at zero is not known and is taken as 0."""
         return np.asarray(np.array(self.error_mm) * np.sin(2.0 * np.pi * tips_mm / np.array(self.lead_mm)))
 
 
@@ -145,7 +145,7 @@ class Tracks:
         return tracks.made_by(step_mm=step_mm, noise=noise)
 
     def made_by(self, *, step_mm: float = 0.0, noise: Noise | None = None, screws: Screws | None = None) -> Tracks:
-        """Return the same tracks as a machine with such steps, such noise and such screws runs them."""
+        """Return the same tracks as run by a machine with these steps, this noise and these screws."""
         tips = np.round(self.tips_mm / step_mm) * step_mm if step_mm > 0 else self.tips_mm.copy()
         if noise is not None and noise.sigma_mm > 0:
             tips[:, 2] += noise.errors_mm(self.tips_mm, self.joined)
@@ -154,7 +154,7 @@ class Tracks:
         return Tracks(radius_mm=self.radius_mm, tips_mm=tips, joined=self.joined)
 
     def divide(self, longest_mm: float) -> Tracks:
-        """Return the same tracks with no chord longer than that; a chord that does not move in plan is left out."""
+        """Return the same tracks with no chord longer than that; chords without motion in plan are left out."""
         count = _count(self.tips_mm, self.joined, longest_mm)
         tips, joined = np.empty((count, 3)), np.empty(count, dtype=np.bool_)
         _divide(self.tips_mm, self.joined, longest_mm, tips, joined)
@@ -164,7 +164,7 @@ class Tracks:
 def _cuts_of(batch: MoveBatch, open_end: bool) -> tuple[Array, NDArray[np.bool_], bool]:
     """Return the tips of the cutting moves of a batch; open_end: the last tip of the batch before is the first here.
 
-    With the spindle off nothing is cut: that is a trace in the air.
+    With the spindle off nothing is cut: such moves are a trace in the air.
     """
     points = batch.points_mm
     along = np.hypot(*(points[1:, :2] - points[:-1, :2]).T) > _STILL_MM
@@ -213,7 +213,7 @@ def _divide(tips, joined, longest, out, flags):  # type: ignore[no-untyped-def]
 
 
 class Chords(NamedTuple):
-    """What kernels need. Chord k runs from tip k - 1 to tip k, where `joined[k]`.
+    """The chords in the form of the kernels. Chord k runs from tip k - 1 to tip k, where `joined[k]`.
 
     group (n,) uint8 : which ball runs it; radii (groups,)
     start (boxes + 1,), member : CSR of chords by box; boxes (rows, columns) of `side` from (x0, y0)
@@ -301,7 +301,7 @@ def _sort(tips, joined, x0, y0, side, columns, start, member):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def gather(c, k, nx, ny, reach, room, out):  # type: ignore[no-untyped-def]
-    """Gather chords other than k that cut within about `reach` of where it does; return their number, at most `room`.
+    """Gather the other chords that cut within about `reach` of chord k; return their number, at most `room`.
 
     nx, ny : of the surface's unit normal there. A ball that is larger by d touches the same place d (nx, ny) aside
     """

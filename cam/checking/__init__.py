@@ -1,1 +1,1 @@
-"""What a written program does to the block, and whether it may be used."""
+"""Simulates what a written program does to the block, and decides whether it may be used."""

@@ -1,4 +1,4 @@
-"""The check: a written program is read back and cut in the computer; its verdict decides whether it may be used.
+"""The check reads a written program back and simulates the cut; its verdict decides whether the program may be used.
 
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
@@ -38,16 +38,17 @@ GAP_ALLOWED_PITCHES = 1.5
 """One row left out makes a gap of two."""
 
 CONTOUR_GAP_PITCHES, ROUNDING_MM = 1.02, 1.5e-4
-"""Of contour passes, which are scanned everywhere; either track may have been moved by half a digit of x and of y."""
+"""For contour passes, which are scanned everywhere: rounding may have moved either track by half a digit of x and of y.
+"""
 
 SHARES = 2
 RAPID_CLEARANCE_MM = 0.5
 """A rapid may go straight down below the safe height where the stock, as simulated so far, stays this far away."""
 
 UNCUT_ALLOWED_MM = 0.005
-"""Within reach, above the cusps: whether the ball fits is only sampled, which is good to a few micrometres."""
+"""Above the cusps, where the ball reaches: its fit is only sampled, to within a few micrometres."""
 SEEN_SHARE, SEEN_UM = 1e-3, 20.0
-"""Of the aperture, and above it: what the ball does not reach and is smaller and lower is not spoken of."""
+"""Share of the aperture and height above it: unreached spots that are smaller and lower are not reported."""
 
 SCAN_SHARE = 0.15  # of a contour pass's check: the scan for gaps at its end
 Progress = Callable[[float], None]
@@ -56,7 +57,7 @@ Bounds = dict[str, list[float]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowResult:
-    """A fine window after the pass: stock above the lens and what is left on purpose [µm], measured along Z."""
+    """A fine window after the pass: stock above the lens and the stock to leave [µm], measured along Z."""
 
     name: str
     x_mm: float
@@ -157,7 +158,7 @@ def check_program(
     total_bytes: int | None = None,
     on_progress: Progress | None = None,
 ) -> PassCheck:
-    """Cut the program into stock_top and judge it. Raises ProgramError where the text itself is not allowed.
+    """Cut the program into stock_top and judge it. Raises ProgramError if the text itself is not allowed.
 
     digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
     further     : programs that go on where this one ends, when a pass is split
@@ -180,7 +181,7 @@ def check_program(
 
 
 class _Pending:
-    """A batch that is being worked on."""
+    """A batch that is being processed."""
 
     def __init__(self, batch: MoveBatch, run: _Run, pool: ThreadPoolExecutor) -> None:
         self.batch = batch
@@ -217,9 +218,9 @@ class _Run:
         self.rest = RestAreas.of(before, heightfield, spec) if spec.where == "rest" else None
         self.places = place_windows(heightfield, spec, before)
         self.windows = [removal_of(spec.shape, place.stock, radius_mm=spec.radius_mm) for place in self.places]
-        # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
+        # A track counts as making the surface if it is no farther above it than this; higher layers do not.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
-        if not spec.is_ball:  # it keeps farther off a slope, and its rim touches between the places that are tried
+        if not spec.is_ball:  # it stays farther from a slope, and its rim touches between the sampled points
             self._near_mm = max(self._near_mm * float(np.hypot(1.0, heightfield.steepest)), spec.step_down_mm / 2)
         self.witness = witness_of(heightfield, spec, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)

@@ -1,8 +1,8 @@
-"""Ball against design surface, move by move: how far a move cuts below the lens, between the cells as well.
+"""Checks the ball against the design surface, move by move: how far a move cuts below the lens, also between the cells.
 
 The ball's centre C and the surface point q nearest to it decide: the ball's underside at q is below the surface
-exactly where |C - q| < R. Every point tried is a true witness (stock there is gone after the move), so a search that
-stops early can only find too little, never accuse wrongly; cells (`removal`) look for the rest without any search.
+exactly where |C - q| < R. Every point tried is a true witness (the stock there is gone after the move), so a search
+that stops early can only miss a gouge, never report a false one; cells (`removal`) find the rest without any search.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
 _CLOSE_MM = 1e-5  # a Newton step this short changes the overlap by its square over R
 _TRIES = 12
-_RINGS, _SPOKES, _RIM_SHARE = 6, 24, 0.999  # of places on the underside of a flat cutter; the rim, just inside
-_OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  # in radii, when the usual one is clear
+_RINGS, _SPOKES, _RIM_SHARE = 6, 24, 0.999  # places on the underside of a flat cutter; the rim, just inside
+_OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  # in radii, if the usual one is clear
 
 
 @njit(cache=True, nogil=True)
@@ -64,7 +64,7 @@ def _find_overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, rad
         if det > 1e-3 and a > 0.0:
             sx = -(d * fx - b * fy) / det
             sy = -(a * fy - b * fx) / det
-        else:  # not a minimum here: go down the distance
+        else:  # not a minimum here: descend the distance
             sx = -0.3 * fx
             sy = -0.3 * fy
         step = math.hypot(sx, sy)
@@ -120,7 +120,7 @@ def _fill_overlaps(  # type: ignore[no-untyped-def]
                 place[k, 1] = py
         if rest[k] > -near or touch[k] == -math.inf:
             continue
-        for start_x, start_y in _OTHER_STARTS:  # it may rest on another flank than the one that was followed
+        for start_x, start_y in _OTHER_STARTS:  # it may touch another flank than the one that was followed
             trial[0] = start_x * radius
             trial[1] = start_y * radius
             x, y, tip = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
@@ -192,7 +192,7 @@ class Overlaps:
 class SurfaceWitness:
     """Watches one pass against one lens; keeps the last contact as the next start.
 
-    near_mm : a move farther than this above the surface is tried from other starts before that is believed
+    near_mm : a move farther than this above the surface is checked again from other starts
     """
 
     def __init__(self, heightfield: Heightfield, *, radius_mm: float, near_mm: float) -> None:
@@ -212,7 +212,7 @@ class SurfaceWitness:
 
 
 class FlatWitness:
-    """Watches one pass of a flat cutter: its underside is tried at some places, at every stretch of a move."""
+    """Watches one pass of a flat cutter: its underside is tested at some places, on every stretch of a move."""
 
     def __init__(self, heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> None:
         radius_mm, shape = spec.radius_mm, spec.shape

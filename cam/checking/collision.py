@@ -32,7 +32,7 @@ _SAMPLES = 400  # of the lens along a side, before any work
 
 
 def shank_of(spec: PassSpec) -> tuple[float, float] | None:
-    """Return (reach from the axis, height above the tip): no stock may stand higher there; None where nothing is
+    """Return (reach from the axis, height above the tip): no stock may stand higher there; None if nothing is
     stated.
     """
     if spec.flute_length_mm is None:

@@ -1,9 +1,10 @@
-"""How the cutter bites: from which side, over how much of its width, and never with its dead centre first.
+"""Judges the engagement of the cutter: from which side, over how much of its width, and never with its dead centre
+first.
 
-The spindle turns clockwise seen from above, so a cutter climbs where the stock lies on the right of its way. What a
-stretch of path takes off, over its length, is the section of the cut. In a slot it is the segment of a circle, half of
-it on either side; twice the lesser side, over that segment, separates slots (the first row of a layer, a transit
-through stock) from rows beside the last one and from flanks that follow a wall, which cut on one side.
+The spindle turns clockwise seen from above, so a cutter climbs if the stock lies on the right of its path. The volume
+that a stretch of path removes, over its length, is the section of the cut. In a slot it is the segment of a circle,
+half of it on either side; twice the lesser side, over that segment, separates slots (the first row of a layer, a
+transit through stock) from rows beside the last one and from flanks that follow a wall, which cut on one side.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from optics.heightfield import Array
 from phrases.phrase import Phrase
 
 SLOT_SHARE = 0.6
-"""Of a slot's section, on both sides alike: more than this counts as cutting at full width."""
+"""Share of a slot's section, equal on both sides, above which a cut counts as full width."""
 
 SLOT_DEPTH = 0.25
-"""Of the step-down: shallower slots are a scratch in the finishing allowance and not counted."""
+"""Share of the step-down: shallower slots are scratches in the finishing allowance and do not count."""
 
 SLOW_DEPTH, SLOW_FEED = 0.6, 0.6
 """A slot deeper than this share of the step-down must not be cut at more than this share of the feed."""
@@ -34,9 +35,9 @@ FAST_ALLOWED_RADII = 4.0
 """Length of such slots, in radii of the ball, that a whole program may have: turns and links at the ends of runs."""
 
 PLUNGE_ALLOWED = 0.15
-"""Of the ball's radius: a scratch as deep as this the centre pushes aside."""
+"""Share of the ball's radius: the centre pushes aside a scratch of this depth."""
 
-_GROUP_CELLS = 6  # path as long as this together: shorter moves sweep too few cells for a section
+_GROUP_CELLS = 6  # length of a stretch: shorter moves sweep too few cells for a section
 _STILL_MM = 1e-9
 # State of a stretch that is being gathered, carried from batch to batch.
 _LENGTH, _LEFT, _RIGHT, _DEEPEST, _FEED, _LINE, _X, _Y = range(8)
@@ -58,7 +59,7 @@ def _slot_section(depth, radius, corner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gather(points, idle, feed, line, depth, left, right, radius, corner, group, least, deep, fast, state, found):  # type: ignore[no-untyped-def] # fmt: skip
-    """Judge the path by stretches `group` long; what is left over waits in `state` for the next batch."""
+    """Judge the path by stretches `group` long; the remainder waits in `state` for the next batch."""
     for k in range(line.size):
         length = math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
         if idle[k] or length < _STILL_MM:
@@ -67,7 +68,7 @@ def _gather(points, idle, feed, line, depth, left, right, radius, corner, group,
         state[_LENGTH] += length
         state[_LEFT] += left[k]
         state[_RIGHT] += right[k]
-        state[_FEED] += (feed[k] - state[_FEED]) * length / state[_LENGTH]  # the mean by way
+        state[_FEED] += (feed[k] - state[_FEED]) * length / state[_LENGTH]  # the mean over the length
         if depth[k] >= state[_DEEPEST]:
             state[_DEEPEST], state[_LINE], state[_X], state[_Y] = depth[k], line[k], points[k + 1, 0], points[k + 1, 1]
         if state[_LENGTH] < group:
@@ -88,7 +89,7 @@ def _gather(points, idle, feed, line, depth, left, right, radius, corner, group,
 class Engagement:
     """Watches one program, batch by batch.
 
-    climb_share    : of the volume taken off, what lay on the right of the way
+    climb_share    : share of the removed volume that lay on the right of the path
     slot_length_mm : cut at full width, deeper than a scratch; slot_depth_mm the deepest of it
     flute_need_mm  : how high above the tip stock was cut
     """

@@ -1,5 +1,6 @@
-"""What a flat end mill takes off, or one with a rounded corner: all stock above its end, cell by cell, exactly along
-straight moves."""
+"""Simulates the removal by an end mill that is flat or has rounded corners: all stock above its end, cell by cell,
+exactly along straight moves.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +25,10 @@ from cam.cutters import BALL, CutterShape
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 
-_SEARCHED = 1e-5  # of the radius: of the way on which the lowest place is searched for; its square of the height
-_SLIVER_MM = 1e-7  # which digits leave where an end goes twice
-_RIM_MM = 1e-3  # inside of the rim of an end: nearer, digits say whether a wall is touched
-_VISIT_RADII = 2.5  # a cell that was cut so little way ago is still being cut
+_SEARCHED = 1e-5  # of the radius: precision of the lowest place along the path; the height is off by its square
+_SLIVER_MM = 1e-7  # left by rounding where an end passes twice
+_RIM_MM = 1e-3  # inside the rim of an end: nearer than this, rounding decides whether a wall is touched
+_VISIT_RADII = 2.5  # a cell that was last cut within this length of path is still being cut
 
 
 @njit(cache=True, nogil=True)
@@ -41,7 +42,7 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
     visit              : way so far (1,), and of each cell the way when it was cut last and its height when that began
     found              : of each move (n,) the greatest drop, its flat cell (-1: none), and the tally (n, 5) of
                          `cam.checking.sweep`
-    At a cell the end leaves the lowest height that it has while its centre is within the radius.
+    The height left at a cell is the lowest height of the end while its centre is within the radius of the cell.
     """
     ny, nx = top.shape
     drops, places, tally = found
@@ -144,7 +145,7 @@ def _measure_rise(square, radius, corner):  # type: ignore[no-untyped-def]
 
 
 class FlatRemoval(RemovalGrid):
-    """The stock that is left under one end mill that is flat, or flat with a rounded corner."""
+    """The stock left under one end mill that is flat or has a rounded corner."""
 
     def __init__(
         self,
@@ -177,7 +178,7 @@ class FlatRemoval(RemovalGrid):
         return Drops(depth_mm=drops, cell=cells, tally=tally)
 
     def cut_at_rest(self) -> tuple[float, int]:
-        """Return nothing: what an end takes off where it stops belongs to the move that ends there."""
+        """Return nothing: the removal where an end stops counts for the move that ends there."""
         return 0.0, -1
 
 

@@ -1,6 +1,6 @@
 """Rules every move must keep on the stock: depth of cut, rapids clear of it, spindle, gouge; and the running totals.
 
-Findings are gathered move by move: how many, the first and the worst of each kind, as one sentence. The rules of the
+Findings are gathered move by move: the number, the first and the worst of each kind, as one sentence. The rules of the
 mill, which do not depend on the stock, are in `machines.preflight.rules`.
 """
 
@@ -97,7 +97,7 @@ def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-de
 
 def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
     """Return what a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5
-    %. A flat cutter leaves stairs, and its moves between them keep off as much.
+    %. A flat cutter leaves stairs, which its moves between them have to take off too.
 
     steepest : greatest slope |grad h| of the lens
     """
@@ -204,7 +204,7 @@ class MoveRules:
 
     @property
     def cut_bounds(self) -> dict[str, list[float]]:
-        """The same of moves at a feed that come down to the stock: without ways in the air."""
+        """The bounds of moves at a feed that reach the stock, without moves in the air."""
         if not np.isfinite(self._low_cut).all():
             return self.bounds
         return {a: [float(self._low_cut[d]), float(self._high_cut[d])] for d, a in enumerate(_AXES)}
@@ -245,7 +245,7 @@ class MoveRules:
             self._last_rapid, self._last_spindle = bool(batch.is_rapid[k]), bool(batch.spindle_on[k])
 
     def judge_rest(self, drops: Drops, whole: RemovalGrid) -> None:
-        """Judge what the ball still removes where it stops."""
+        """Judge the removal where the ball stops."""
         one = np.array([True])
         self._judge_drops(
             drops,

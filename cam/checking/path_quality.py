@@ -1,7 +1,7 @@
-"""How good a path of any strategy is as a path: measured on all moves of a written program.
+"""Measures the quality of a path of any strategy on all moves of a written program.
 
-Only moves on the surface count: both ends within a few micrometres of where the ball touches. What is not measured
-here is what the stock says (engagement, climbing, gouges: `cam.checking.check`).
+Only moves on the surface count: both ends within a few micrometres of where the ball touches. Measures that depend on
+the stock are elsewhere (engagement, climbing, gouges: `cam.checking.check`).
 
 Length is the tip's, in space. Along the contour: within 15 degrees of it as seen from above, at the contact of the
 ball, where that lies in the aperture on a slope above 1 %. A turn over 60 degrees: between the chords before and after
@@ -9,10 +9,10 @@ a vertex, each at least a tenth of a pitch of path. The radius of a turn: half t
 half a pitch, over the angle between them; neither the spacing of vertices nor the raster they are rounded to changes
 it.
 
-How closely tracks of any direction lie is sampled at one point per cell of the stock grid, at a random place in it
-(fixed seed), so that a regular raster cannot hide between regular samples. The distance in plan from each sample to the
-nearest track is exact; twice the greatest of them is the width of the widest gap found. A gap of area A is missed with
-probability exp(-A / cell area).
+The spacing of tracks of any direction is sampled at one random point (fixed seed) in each cell of the stock grid, so
+that a regular raster cannot hide between regular samples. The distance in plan from each sample to the nearest track is
+exact; twice the greatest of them is the width of the widest gap found. A gap of area A is missed with probability
+exp(-A / cell area).
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield, spline_jet
 
 ON_SURFACE_MM = 0.01
-"""What stands higher above the surface than this, and than 1.5 times the stock to leave, does not make it."""
+"""A move that is higher above the surface than this, and than 1.5 times the stock to leave, does not make the surface.
+"""
 
 _CONTEXT = 64
-"""Moves on either side that a vertex is judged with, at most."""
+"""Most moves on either side by which a vertex is judged."""
 
 SLOPE_THAT_COUNTS = 0.01
 ALIGNED_RAD = math.radians(15.0)
@@ -51,8 +52,8 @@ class PathMeasures:
     entries        : times it comes onto the surface after a rapid
     rapids_inside  : rapids that go across or down below the top of the block
     length_ratio   : length x pitch / area of the aperture
-    aligned_share  : of the length on slopes above 1 %, what runs within 15 degrees of the contour line
-    tight_turn_share : of the length, what turns with a radius below five pitches
+    aligned_share  : share of the length on slopes above 1 % that runs within 15 degrees of the contour line
+    tight_turn_share : share of the length that turns with a radius below five pitches
     """
 
     entries: int
@@ -65,7 +66,7 @@ class PathMeasures:
     gap: Gap
 
     def as_report(self) -> dict[str, float]:
-        """Return what report.json says of a contour pass beside `max_gap_mm`."""
+        """Return the figures of a contour pass for report.json, except `max_gap_mm`."""
         names = ("aligned_share", "length_ratio", "turns_over_60_per_m", "tight_turn_share")
         return {name: float(getattr(self, name)) for name in names}
 
@@ -104,7 +105,7 @@ class PathQuality:
         return on
 
     def measure(self, on_progress: Progress | None = None) -> PathMeasures:
-        """Judge what is left and scan the aperture."""
+        """Judge the remaining moves and scan the aperture."""
         add_turns(self._tail_points, self._tail_on, self._judged, self._tail_on.size, self._pitch_mm, self._sums)
         self._judged = self._tail_on.size
         length, sloped, aligned, sharp, tight = (float(value) for value in self._sums)
@@ -182,7 +183,7 @@ def add_lengths(coefs, x0, y0, inv_dx, inv_dy, width, height, points, on, ball, 
             if change < _CLOSE_MM:
                 break
         if not (0.0 <= x + offset[0] <= width and 0.0 <= y + offset[1] <= height):
-            continue  # the run-out has no contour lines that mean anything
+            continue  # contour lines of the run-out have no meaning
         slope = math.hypot(hx, hy)
         if slope > SLOPE_THAT_COUNTS:
             sums[1] += length

@@ -1,4 +1,4 @@
-"""What a ball end mill takes off: the exact lower envelope of the moving ball, cell by cell.
+"""Simulates the removal by a ball end mill: the exact lower envelope of the moving ball, cell by cell.
 
 At a point (x, y) the ball along a straight move leaves min over s of z(s) + R - sqrt(rho^2 - (u - s)^2), where u and w
 are the point's coordinates along and across the move and rho^2 = R^2 - w^2. That is convex in s with its minimum at
@@ -7,12 +7,12 @@ the ball at the nearer end.
 
 Theory of operation. Over a whole path a point gets its lowest cut at an s* inside some move, or at a corner that is a
 local minimum from both sides. So a move visits only the cells whose s* lies in it (a strip as long as the move, bent
-where the move is steep, as s* depends on rho; not the ball's whole disc), plus, before it, the wedge its corner with
-the move before opens; after a sharp turn, a stop or a change between rapid and feed, the whole disc of the corner, on
-the account of the move that ends there. Nothing is lost by this, and the drop found at a cell is the full depth of cut
-there, not the sliver that one short move adds. Tiles of cells whose highest stock, their crown, lies under the whole
-ball are passed over.
-Windows are small squares of the part watched at a fine cell, where a mistake would be largest.
+where the move is steep, as s* depends on rho; not the ball's whole disc), plus, before it, the wedge that its corner
+with the previous move opens. After a sharp turn, a stop or a change between rapid and feed it is the whole disc of the
+corner, counted for the move that ends there. Nothing is lost by this, and the drop found at a cell is the full depth of
+cut there, not the sliver that one short move adds. Tiles of cells whose highest stock, their crown, lies below the
+whole ball are skipped. Windows are small squares of the part, simulated with fine cells, where a mistake would be
+largest.
 
 Two threads share a grid by rows (even, odd): every cell is written by one thread, so the result does not depend on
 them.
@@ -38,7 +38,7 @@ class Drops:
     """Per move: greatest drop of the stock at one cell [mm], and that cell (flat index, -1 for none).
 
     Slot k + 1 is move k of the batch; slot 0 belongs to the last move of the batch before.
-    tally (n + 1, 5) : what else each move does, by the columns of `cam.checking.sweep`
+    tally (n + 1, 5) : other figures of each move, by the columns of `cam.checking.sweep`
     """
 
     depth_mm: Array
@@ -47,7 +47,7 @@ class Drops:
 
 
 class RemovalGrid:
-    """The stock that is left under one ball, cut down batch by batch. Not a value: it changes with every batch."""
+    """The stock left under one ball, cut down batch by batch. It is mutable: it changes with every batch."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class RemovalGrid:
         self.refresh()
 
     def _bounds(self, reach_mm: float) -> Array:
-        """Return the highest stock per tile within reach + one tile: what the cutter could meet on a short move."""
+        """Return the highest stock per tile within reach + one tile, which the cutter could meet on a short move."""
         n = self._tile_cells
         ny, nx = self.top_mm.shape
         rows = np.maximum.reduceat(self.top_mm, np.arange(0, ny, n), axis=0)
@@ -113,7 +113,7 @@ class RemovalGrid:
             self._last_point = batch.points_mm[moved[-1] + 1].copy()
 
     def cut_at_rest(self) -> tuple[float, int]:
-        """Cut where the last move ended and the ball stops: (drop, cell) of that, on the last move's account."""
+        """Cut at the end of the last move, where the ball stops; return (drop, cell), counted for the last move."""
         if not np.isfinite(self._last_point).all():
             return 0.0, -1
         depth_mm, cell, _ = cap(
@@ -163,7 +163,7 @@ _FLAT_MM = 0.05  # after a flat cutter: its stairs are tenths of a millimetre
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window:
-    """One watched square: why it is here, and the fine stock before the pass."""
+    """One window: the reason for its place, and the fine stock before the pass."""
 
     name: str
     stock: StockGrid
@@ -172,8 +172,8 @@ class Window:
 def place_windows(heightfield: Heightfield, spec: PassSpec, before: StockGrid) -> tuple[Window, ...]:
     """Return corners, one edge, the centre, and where the lens is most concave, most convex and steepest.
 
-    The stock before the pass is known at the whole part's cells only; a window starts from the highest of the
-    nearest cells, so what it shows afterwards is the work of this pass or too high, never too low.
+    The stock before the pass is known only at the whole part's cells. A window starts from the highest of the nearest
+    cells, so afterwards its heights are the work of this pass, or too high, but never too low.
     """
     width, height = heightfield.width_mm, heightfield.height_mm
     size = min(max(_SIZE_MM, 4 * spec.pitch_mm), width / 3, height / 3)

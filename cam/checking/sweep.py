@@ -1,4 +1,4 @@
-"""The kernels of `cam.checking.removal`: one ball along one batch of moves, cell by cell. Its theory stands there."""
+"""The kernels of `cam.checking.removal`: one ball along one batch of moves, cell by cell. See there for the theory."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def find_highest_near(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def find_way(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
-    """Return whether a move goes along in plan, how far, its direction there and its slope; 0 of one that does not."""
+    """Return whether a move advances in plan, its length and direction there, and its slope; 0 if it does not."""
     length = math.hypot(bx - ax, by - ay)
     if length <= _STILL_MM:
         return False, length, 0.0, 0.0, 0.0

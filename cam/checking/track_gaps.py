@@ -1,17 +1,17 @@
-"""The widest gap between neighbouring tracks of any path, found everywhere: nothing is sampled.
+"""Finds the widest gap between neighbouring tracks of any path. The search covers everything; it does not sample.
 
-A gap is the widest circle without a track in it; between two long tracks its width is their distance. Measured are the
-tracks of the TIP, seen from above, over all places where a tip makes the ball touch the aperture. On a slope s the
-contact lies R s beside the tip, and in a hollow of curvature k contacts spread to 1 / (1 - R k) of what tips are apart;
-but it is the tips' distance p that tilts the ball from one track to the next: cusps are as steep as +-p / 2R and
-as high as p^2 / (8 R (1 - R k)), so light sees tips. Along the slope tracks are farther apart than from above by
-1 / cos of the slope across them, 2 % at 0.2; the rows of a raster are spaced from above, too.
+A gap is the widest circle without a track in it; between two long tracks its width is their distance. The gap is
+measured between tracks of the TIP, seen from above, at all places where a tip makes the ball touch the aperture. On a
+slope s the contact lies R s beside the tip, and in a hollow of curvature k contacts spread to 1 / (1 - R k) of what
+tips are apart; but it is the tips' distance p that tilts the ball from one track to the next: cusps are as steep as +-p
+/ 2R and as high as p^2 / (8 R (1 - R k)), so light sees tips. Along the slope tracks are farther apart than from above
+by 1 / cos of the slope across them, 2 % at 0.2; the rows of a raster are spaced from above, too.
 
 Theory. Tracks paint the pixels whose centres lie within half a pitch of them; a pixel is 1/80 of a pitch. The distance
-to the nearest track changes by no more than one walks, so a place farther than half a pitch and half a pixel's diagonal
-from all tracks lies in a bare pixel: gaps wider than 1.02 pitch (1.018, and 0.002 at joints) cannot hide. From bare
-pixels, and from some places of every tile, the true widest circle is climbed to with exact distances. Tiles keep memory
-at a few bytes for each move.
+to the nearest track changes by no more than the step between two places, so a place farther than half a pitch and half
+a pixel's diagonal from all tracks lies in a bare pixel: gaps wider than 1.02 pitch (1.018, and 0.002 at joints) cannot
+hide. From bare pixels, and from some places of every tile, an ascent with exact distances finds the true widest circle.
+Tiles keep memory at a few bytes for each move.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class TrackGaps:
         if not counts.any():
             return
         self._points.append(np.rint(points_mm[:, :2] / MICRO).astype(np.int32))
-        self._counts.append(np.append(counts, False))  # nothing joins one batch's end to the next one's start
+        self._counts.append(np.append(counts, False))  # the end of one batch is not joined to the start of the next
 
     def find_widest(self, on_progress: Progress | None = None) -> Gap:
         """Scan all tiles on two threads."""
@@ -168,7 +168,7 @@ class TrackGaps:
     def _find_emptiest(self) -> tuple[float, float, float]:
         """Return (distance, x, y) of the place farthest from all tracks, where that is more than a few pitches.
 
-        Of the cells that lie farthest from those with tracks some are tried, and the best is climbed from.
+        Some of the cells farthest from cells with tracks are tried; the ascent starts from the best.
         """
         cell = max(0.5 * self._pitch_mm, self._longest_mm / 2000)
         ny, nx = (math.ceil(n * self._pixel_mm / cell) for n in self._shape)

@@ -1,4 +1,5 @@
-"""The compiled part of `track_gaps`: tiles of pixels painted by tracks, and exact distances where paint is missing.
+"""The compiled part of `track_gaps`: paints tiles of pixels by tracks, and computes exact distances where paint is
+missing.
 
 One bit is one pixel; a track paints, row by row, the run of pixels whose centres lie within half a pitch of it. Lengths
 inside a tile are in pixels, its lower left corner is the origin, pixel (i, j) has its centre at (i + 0.5, j + 0.5).
@@ -11,9 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-MICRO = 1e-6  # tracks are held in whole millionths of a millimetre
+MICRO = 1e-6  # tracks are stored in whole millionths of a millimetre
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_MOST_TRIED = 512  # bare pixels of a tile whose distance is worked out
+_MOST_TRIED = 512  # bare pixels of a tile whose distance is computed
 _SAMPLES = 48  # places tried in every tile, painted or not
 _MOST_CLIMBS = 12  # of a tile with bare pixels; 2 of a painted one
 _GOLDEN = 2.399963229728653
@@ -233,7 +234,9 @@ def _away(tracks, k, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _ridge(tracks, count, x, y):  # type: ignore[no-untyped-def]
-    """Return the direction that keeps distances to the nearest track and the one across equal; (0, 0) without such."""
+    """Return the direction that keeps the distances to the nearest track and the opposite one equal; (0, 0) if there is
+    none.
+    """
     first = 0
     for k in range(1, count):
         if _distance2(tracks, k, x, y) < _distance2(tracks, first, x, y):
@@ -378,7 +381,7 @@ def scan_tiles(tiles, starts, order, points, x0, y0, pixel, per_pitch, side, sha
         _paint_outside(bits, columns, rows, tile_x, tile_y, pixel, rim)
         _paint_tracks(bits, columns, rows, tracks, chosen, 0.5 * per_pitch)
         bare, count = _list_bare(bits, columns, rows, places[:_MOST_TRIED])
-        for k in range(_SAMPLES):  # evenly strewn, differently in each tile
+        for k in range(_SAMPLES):  # evenly scattered, differently in each tile
             places[count, 0] = columns * ((tile * 0.618034 + k * 0.754877666) % 1.0)
             places[count, 1] = rows * ((tile * 0.414214 + k * 0.569840291) % 1.0)
             x, y = tile_x + places[count, 0] * pixel, tile_y + places[count, 1] * pixel

@@ -2,8 +2,9 @@
 
 Theory. Contours of the heights themselves lie close on slopes and far apart on flats. The field f keeps their direction
 and evens out their spacing: grad f is as near as it can be to n, the unit gradient of the heights, or to n stretched by
-up to STRETCH where that turns it less (a Poisson problem with weights, solved again with the same factors). Weights die
-where the surface is flat, so f carries the direction of the surroundings across plateaus; an even surface gives rows.
+up to STRETCH where that turns it less (a Poisson problem with weights, solved again with the same factors). Weights
+vanish where the surface is flat, so f continues the direction of the surroundings across plateaus; a flat surface gives
+rows.
 
 |grad f| is not even: level sets one step apart are 1 / |grad f| steps apart. How many more are needed is the density
 class c, rising by 1 for every factor RATIO. It is raised over short dips, so that tracks do not end and begin again,
@@ -25,16 +26,17 @@ from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import BicubicSpline, Heightfield
 
 RATIO = 1.07
-"""From class to class: how many times more tracks."""
+"""Ratio of the numbers of tracks from class to class."""
 
 FREE_PITCHES, FREE_SHARE = 0.3, 0.1
-"""Left free at the border of the ring on which a tool may go, for turns: pitches, but no more than that share of it."""
+"""Room for turns at the border of the ring on which a tool may go: in pitches, but no more than that share of the ring.
+"""
 
 REACH_PITCHES = 0.485
-"""No place may be farther from every track: half a pitch, less what is seen to a pixel in cover.py."""
+"""Greatest distance of a place from the nearest track: half a pitch, less the pixel error of cover.py."""
 
 LEAST_GRADIENT = 0.2
-"""Of the greatest: flatter spots of f, around summits and saddles, are left to holes.py."""
+"""Share of the greatest gradient: flatter spots of f, around summits and saddles, are left to holes.py."""
 
 FLAT_SLOPE = 0.02
 FAINT = 1e-3
@@ -83,7 +85,7 @@ class ContourField:
 
     f (ny, nx)        : its level sets are tracks [mm]
     density (ny, nx)  : class, 0 at the greatest gradient
-    level_mm          : between the levels of class 0, two reaches where the gradient is greatest
+    level_mm          : between the levels of class 0: two reaches where the gradient is greatest
     wanted (ny - 1, nx - 1) : cells with places that must lie near a track: the aperture, and where the ball touches it
     traced (ny - 1, nx - 1) : cells in which tracks may run: those, and what lies so near that its tracks reach them
     ring_mm : how far outside the aperture tracks may end
@@ -139,7 +141,7 @@ def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
 
 
 def _rim_tips(heightfield: Heightfield, surface: ToolSurface, step: float) -> Array:
-    """Return (2, n) where tips stand that touch the rim of the aperture, twice as dense as the nodes."""
+    """Return (2, n) the tips that touch the rim of the aperture, twice as dense as the nodes."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     x, y = (np.linspace(0.0, side, 2 * ceil(side / step) + 1) for side in (width_mm, height_mm))
     rim_x = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, width_mm)])
@@ -152,8 +154,8 @@ def _rim_tips(heightfield: Heightfield, surface: ToolSurface, step: float) -> Ar
 def _mask_wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, rim: Array) -> Mask:
     """Return the aperture and, around it, the places from which the ball touches it; and the nodes beside these.
 
-    So all corners of a cell are wanted that holds such a place. A corner of the lens may be so acute, seen from the
-    tip, that no node lies in its end: the tips of the rim (2, n) are there in any case.
+    So all corners of a cell with such a place are wanted. A corner of the lens may be so acute, seen from the tip, that
+    no node lies in its end; the tips of the rim (2, n) cover it in any case.
     """
     slack = 1e-6
     inside = ((y >= -slack) & (y <= height_mm + slack))[:, None] & ((x >= -slack) & (x <= width_mm + slack))
@@ -195,7 +197,7 @@ def _density(needed: Array, usual: float, dip: float, ramp: float) -> Array:
 
 
 def _solve_field(heightfield: Heightfield, surface: ToolSurface, stretch: float) -> BicubicSpline:
-    """Return f over the aperture; around it, as far as the ball runs out, f goes on with its slope."""
+    """Return f over the aperture; around it, as far as the ball runs out, f is continued by its slope."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     spacing = max(max(width_mm, height_mm) / NODES, 0.05)
     nx, ny = (max(8, round(side / spacing)) + 1 for side in (width_mm, height_mm))
@@ -223,7 +225,7 @@ def _beyond(f: Array, rows: int, axis: int) -> Array:
 def _along(zx: Array, zy: Array, dx: float, dy: float, most: float) -> Array:
     """Return f (ny, nx) with grad f along (zx, zy): least squares over the edges of the grid, each weighted.
 
-    A faint pull along y is all that an even surface feels; inside, where it meets others, it has no effect.
+    A flat surface is only affected by a weak pull along y, which has no effect where there are other weights.
     """
     ny, nx = zx.shape
     slope2 = zx**2 + zy**2

@@ -3,8 +3,8 @@
 Theory of operation: places too far from every track are found on an exhaustive bitmap, strip by strip, one bit a pixel,
 32 pixels to the pitch. Every segment of a track covers a capsule, the places within REACH_PITCHES of it; on a row of
 pixels that is one interval, the hull of what its two discs and its slab cover. The distance to the nearest track
-changes by no more than the way from one place to the next: a place farther than half a pitch + 1 % from all tracks has
-a pixel without cover within half a diagonal, 0.022 pitches. Nothing that wide can hide between pixels. Bare pixels are
+changes by no more than the distance between two places: a place farther than half a pitch + 1 % from all tracks has a
+pixel without cover within half a diagonal, 0.022 pitches. No hole that wide can hide between pixels. Bare pixels are
 returned as blocks of four by four.
 """
 
@@ -240,7 +240,9 @@ def _cover(xy, segments, pixels, reach, j0, covered):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _bare(covered, pixels, j0, out, counting):  # type: ignore[no-untyped-def]
-    """Count the blocks that count and hold a bit not set, or write their centres into out (n, 2); returns how many."""
+    """Count the blocks that must be covered and have an unset bit, or write their centres to out (n, 2); return their
+    number.
+    """
     count = 0
     nibble = np.uint64(15)
     middle = (BLOCK - 1) / 2

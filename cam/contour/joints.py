@@ -1,12 +1,12 @@
-"""The joints of a tour: the shortest from one place and heading to another, and fewer long ones.
+"""The joints of a tour: the shortest curve from one place and heading to another, and 2-opt moves against long ones.
 
 A joint is the shortest curve of bounded curvature (Dubins 1957): three pieces out of left arcs, right arcs and
 straights, one of the six words LSL, RSR, LSR, RSL, RLR, LRL. Formulas after Shkel and Lumelsky (2001), lengths in
 radii.
 
-A tour that always takes the nearest track leaves some behind, and crosses the lens for them at last. Its long joints
-are shortened by 2-opt and Or-opt moves (Croes 1958, Or 1976). Only joints longer than an ordinary turn are looked at,
-each against all others. A joint is as long backwards, so parts of a tour may be turned round.
+A tour that always takes the nearest track leaves some behind and finally crosses the lens for them. Its long joints are
+shortened by 2-opt and Or-opt moves (Croes 1958, Or 1976). Only joints longer than an ordinary turn are tried, each
+against all others. A joint has the same length backwards, so parts of a tour may be reversed.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ WORDS = (
     (LEFT, RIGHT, LEFT),
 )
 ARC_STEP = math.radians(7.5)
-"""At most, from point to point of an arc."""
+"""Greatest distance between points of an arc."""
 LONG_TURNS = 3.0
-"""Joints are long that are so many times a half circle."""
+"""A joint is long from this multiple of a half circle on."""
 
 LONGEST_PART = 4
-"""Stops that are moved elsewhere in one piece, at most."""
+"""Most stops that are moved elsewhere together."""
 
 ROUNDS = 3
 LEAST_GAIN = 0.02
-"""Of a half circle: a move that gains less is not worth it."""
+"""Share of a half circle: a move that gains less is not made."""
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -101,7 +101,7 @@ def shortest(x0, y0, h0, x1, y1, h1, radius):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def draw(x, y, h, radius, word, a, b, c, out, count):  # type: ignore[no-untyped-def]
-    """Draw points of a curve, its begin left out, into out[count:]; return the new count."""
+    """Write the points of a curve, except its start, to out[count:]; return the new count."""
     pieces = (a, b, c)
     for k in range(3):
         length = pieces[k]
@@ -129,11 +129,11 @@ def draw(x, y, h, radius, word, a, b, c, out, count):  # type: ignore[no-untyped
 def shorten(into, out, radius, order, turned):  # type: ignore[no-untyped-def]
     """Change order (n + 1,), turned (n + 1,) so that the joints between the stops are shorter; the first stop stays.
 
-    Stop k is entered by the pose into[k] and left by out[k], turned round the other way.
+    Stop k is entered by the pose into[k] and left by out[k], or the other way if it is reversed.
     """
     n = order.size - 1
     half = math.pi * radius
-    joint = np.zeros(n + 1)  # from stop i to the next; none behind the last
+    joint = np.zeros(n + 1)  # from stop i to the next; none after the last
     for i in range(n):
         joint[i] = _between(into, out, radius, order, turned, i, i + 1, False, False)
     for _ in range(ROUNDS):
@@ -152,7 +152,7 @@ def shorten(into, out, radius, order, turned):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _pose(into, out, order, turned, i, leaving, again):  # type: ignore[no-untyped-def]
-    """Return the pose by which the i-th stop is entered or left, as it is or turned once more."""
+    """Return the pose by which the i-th stop is entered or left, as it is or reversed."""
     k = order[i]
     back = turned[i] != again
     pose = out[k] if leaving != back else into[k]
@@ -161,7 +161,7 @@ def _pose(into, out, order, turned, i, leaving, again):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True)
 def _apart(into, out, order, turned, i, j, i_again, j_again):  # type: ignore[no-untyped-def]
-    """Return the distance from the i-th stop to the j-th: a joint is no shorter; none leads on from the last."""
+    """Return the distance from the i-th stop to the j-th, the least length of a joint; none leads on from the last."""
     if j >= order.size:
         return 0.0
     x, y, _ = _pose(into, out, order, turned, i, True, i_again)
@@ -171,7 +171,7 @@ def _apart(into, out, order, turned, i, j, i_again, j_again):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def _between(into, out, radius, order, turned, i, j, i_again, j_again):  # type: ignore[no-untyped-def]
-    """Return the length of the joint from the i-th stop to the j-th; there is none behind the last."""
+    """Return the length of the joint from the i-th stop to the j-th; there is none after the last."""
     if j >= order.size:
         return 0.0
     x, y, h = _pose(into, out, order, turned, i, True, i_again)
@@ -181,7 +181,7 @@ def _between(into, out, radius, order, turned, i, j, i_again, j_again):  # type:
 
 @njit(cache=True, nogil=True)
 def _reverse(into, out, radius, order, turned, joint, a, b):  # type: ignore[no-untyped-def]
-    """Turn the part from the a-th stop to the b-th round."""
+    """Reverse the part from the a-th stop to the b-th."""
     order[a : b + 1] = order[a : b + 1][::-1].copy()
     turned[a : b + 1] = ~turned[a : b + 1][::-1]
     joint[a:b] = joint[a:b][::-1].copy()
@@ -191,7 +191,7 @@ def _reverse(into, out, radius, order, turned, joint, a, b):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _turn_part(into, out, radius, order, turned, joint, i, least):  # type: ignore[no-untyped-def]
-    """Turn round what lies between joint i and another one, if that gains; return whether."""
+    """Reverse the part between joint i and another joint if that gains; return whether it did."""
     best, choice = least, -1
     for j in range(order.size):
         a, b = min(i, j), max(i, j)
@@ -212,7 +212,7 @@ def _turn_part(into, out, radius, order, turned, joint, i, least):  # type: igno
 
 @njit(cache=True, nogil=True)
 def _move_part(into, out, radius, order, turned, joint, i, least):  # type: ignore[no-untyped-def]
-    """Move some stops behind joint i, or before it, into another joint, if that gains; return whether."""
+    """Move some stops after joint i, or before it, into another joint if that gains; return whether it did."""
     n = order.size - 1
     best, first, last, place, again = least, -1, -1, -1, False
     for part in range(2 * LONGEST_PART):
@@ -238,7 +238,7 @@ def _move_part(into, out, radius, order, turned, joint, i, least):  # type: igno
                     best, first, last, place, again = gain, a, b, j, back
     if place < 0:
         return False
-    # the part and what lies between it and its new place change places
+    # the part and the stops between it and its new place change places
     begin, end = (first, place) if place > last else (place + 1, last)
     long = last - first + 1
     _reverse(into, out, radius, order, turned, joint, begin, end)

@@ -2,7 +2,7 @@
 
 Lines in the plane of class and level are born in gaps and never cross. At a whole class j the tracks are the levels
 m S_j, S_j = S_0 / RATIO^j, m any whole number. From class to class every line glides to the nearest level of the denser
-one; levels that none takes are born at the begin of the glide, in between. Neighbours are thus nowhere farther apart
+one; levels that no line takes are born at the start of the glide, in between. Neighbours are thus nowhere farther apart
 than S_j, the spacing that the class stands for, and of a family born together the next is more than ten pitches away:
 room for a turn.
 
@@ -23,12 +23,12 @@ from cam.contour.field import RATIO
 
 
 class Levels(NamedTuple):
-    """What the kernels need.
+    """The levels in the form of the kernels.
 
     spacing (nc,)     : S_j
     first (nc,)       : m of the first level of class j
     offset (nc + 1,)  : where class j begins in line_of
-    line_of (n,)      : which line is at a level of a class
+    line_of (n,)      : the line at a level of a class
     birth (nl,)       : class at which a line is first whole; it exists from one class before
     level (nl, nc)    : of each line at each class; before its birth, that of its birth
     """
@@ -66,7 +66,7 @@ def level_tree(lowest: float, highest: float, level_mm: float, classes: int) -> 
     level = np.full((total, classes), np.nan)
     for j in range(classes):
         level[line_of[offset[j] : offset[j + 1]], j] = (first[j] + np.arange(counts[j])) * spacing[j]
-    for j in range(classes - 2, -1, -1):  # before birth; and lines that left the range keep out of it
+    for j in range(classes - 2, -1, -1):  # before birth; lines that have left the range stay outside it
         level[:, j] = np.where(np.isnan(level[:, j]), level[:, j + 1], level[:, j])
     for j in range(1, classes):
         level[:, j] = np.where(np.isnan(level[:, j]), level[:, j - 1], level[:, j])
@@ -75,7 +75,7 @@ def level_tree(lowest: float, highest: float, level_mm: float, classes: int) -> 
 
 @njit(cache=True, nogil=True, inline="always")
 def level_at(levels, line, density):  # type: ignore[no-untyped-def]
-    """Return the level of a line at a class that need not be whole."""
+    """Return the level of a line at a class, which may be fractional."""
     last = levels.spacing.size - 1
     j = min(int(density), last - 1)
     t = density - j

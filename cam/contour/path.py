@@ -1,14 +1,13 @@
 """The contour strategy: one unbroken path along the contours of the surface, from field to tips.
 
-Field -> level lines at the density that its spacing asks for -> strokes over what they leave -> one tour. Up to here
-the path is drawn in the plane, its vertices on the raster on which x and y are written, chords within a hundredth of
-the pitch of the level line. Last, each vertex gets its height by exact contact, and chords are cut until slope and sag
-keep the rule.
+Field -> level lines at the density that its spacing requires -> strokes over what they leave -> one tour. So far the
+path is plane: its vertices are on the raster of written x and y, its chords within a hundredth of the pitch of the
+level line. Last, each vertex gets its height by exact contact, and chords are cut until slope and sag keep the rule.
 
-A chord is judged by what the surface does at its ends and its middle, and cut into as many parts as a constant
-curvature would ask for. Curvature is not constant, so every part is judged again: where the surface bulges over a chord
-the tool would cut into it. The surface of tips bulges no more than the ball itself, so parts of some micrometres always
-do; for slope alone, or where a chord runs too high, parts on which a mill slows down are not worth it.
+A chord is judged by the surface at its ends and its middle, and cut into as many parts as a constant curvature would
+require. Curvature is not constant, so every part is judged again: where the surface bulges over a chord the tool would
+cut into it. The surface of tips bulges no more than the ball itself, so parts of some micrometres are always short
+enough; for slope alone, or where a chord runs too high, parts so short that a mill slows down are not worth it.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ from optics.heightfield import Heightfield, spline_jet
 
 PIECE_VERTICES = 50_000
 TRACED, CLOSED, JOINED = 0.2, 0.5, 0.6
-"""Shares of the work done when a step is."""
+"""Shares of the work done at the end of each step."""
 SHORTEST_MM = 0.014
-"""No parts shorter than this for slope, nor where a chord runs too high: turns are drawn in such."""
+"""Shortest parts for slope, and where a chord runs too high; turns are made of parts of this length."""
 
 SHORTEST_LOW_MM = 0.003
-"""No parts shorter than this where a chord cuts too low: under a ball of 0.1 mm it is 11 nm."""
+"""Shortest parts where a chord cuts too low: under a ball of 0.1 mm that is 11 nm."""
 
 MOST_PARTS, WAITING = 64, 512
 """Parts cut at once; parts that wait to be judged, several times cut."""
@@ -110,7 +109,9 @@ def tips_along(ball: Ball, rule: VertexRule, xy: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _lie(b, x, y, px, py, tip):  # type: ignore[no-untyped-def]
-    """Compute tip (7,): x, y, z, contact, gradient: the tips' surface has at (x, y) that of the lens at the contact."""
+    """Compute tip (7,): x, y, z, contact, gradient. The gradient of the tips' surface at (x, y) is that of the lens at
+    the contact.
+    """
     px, py, z = touch(b, x, y, px, py)[:3]
     jet = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)
     tip[0], tip[1], tip[2], tip[3], tip[4], tip[5], tip[6] = x, y, z, px, py, jet[1], jet[2]
@@ -118,7 +119,9 @@ def _lie(b, x, y, px, py, tip):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _share(error, allowed, power, length, shortest):  # type: ignore[no-untyped-def]
-    """Return the parts that an error falling with that power of their number needs, none shorter than the shortest."""
+    """Return the number of parts for an error that falls with that power of the number; no part is shorter than the
+    shortest.
+    """
     if error <= allowed:
         return 1
     return min(math.ceil((error / allowed) ** power), math.floor(length / shortest))
@@ -126,7 +129,7 @@ def _share(error, allowed, power, length, shortest):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _parts(rule, a, m, b):  # type: ignore[no-untyped-def]
-    """Return how many parts the chord from tip a to tip b, with tip m over its middle, needs."""
+    """Return the number of parts for the chord from tip a to tip b, with tip m over its middle."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy)
     chord = (b[2] - a[2]) / length

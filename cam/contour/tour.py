@@ -1,9 +1,10 @@
-"""All tracks on one path: from the end of each to the cheapest way into another, on the surface, tracks crossed or not.
+"""Joins all tracks into one path on the surface: from the end of each to the cheapest entry of another.
 
 Everything lies on the surface, so joints may cross tracks. A joint is the shortest curve of bounded curvature between
-two headings; its length is the cost by which the next track is chosen. The neighbour at one pitch is dear that way, the
-one ten pitches off is a half circle: so rows come out interleaved, as a racetrack, without a rule for it. An open track
-is entered at either end; a closed one at any of its places, in both senses, and left where it was entered.
+two headings; its length is the cost by which the next track is chosen. A joint to the neighbour at one pitch is
+expensive, while one to a track ten pitches away is a half circle. So rows come out interleaved, like a racetrack,
+without a rule for that. An open track is entered at either end; a closed one at any of its places, in both senses, and
+left where it was entered.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from cam.contour.tracer import ContourLines
 from cam.moves import Array
 
 TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 0.48
-"""Radii of turns: on a small part at a coarse pitch wide turns would be half the path. The tightest lead to the next
-track.
+"""Radii of turns: on a small part at a coarse pitch, wide turns would be half the path. The tightest turns lead to the
+next track.
 """
 
 PLACES_PITCHES = 25.0
-"""Between the places at which a closed track may be entered."""
+"""Distance between the places at which a closed track may be entered."""
 
 CELL_PITCHES = 16.0
 MOST_JOINT_POINTS = 160
@@ -51,7 +52,7 @@ class Entries(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Where joints may go: the aperture and a ring around it; and how tight they may turn."""
+    """The limits of joints: the area (the aperture and a ring around it), and how tightly they may turn."""
 
     x_from: float
     x_to: float
@@ -66,7 +67,7 @@ def turn_radius_mm(pitch_mm: float, side_mm: float) -> float:
 
 
 def tour_tracks(tracks: ContourLines, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:
-    """Return (n, 2) one polyline from a pose (x, y, heading) along all tracks and out to the ring."""
+    """Return (n, 2) a polyline from a pose (x, y, heading) along all tracks and out to the ring."""
     entries = _entries(tracks, room, pitch_mm)
     points = np.empty((len(tracks.xy_mm) + (MOST_JOINT_POINTS + 1) * (tracks.count + 2), 2))
     count = _tour(tracks.xy_mm, tracks.start, entries, room, begin, points)
@@ -170,7 +171,7 @@ def _swap(e, a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _join(x, y, h, px, py, ph, room, out, count):  # type: ignore[no-untyped-def]
-    """Write the joint's points into out[count:], the last left out; it turns tighter where the ring is too narrow."""
+    """Write the joint's points, except the last, into out[count:]; it turns tighter where the ring is too narrow."""
     radius = room.radius
     for _ in range(12):
         _, word, a, b, c = shortest(x, y, h, px, py, ph, radius)
@@ -194,8 +195,8 @@ def _is_closed(xy, first, last):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _choose_stops(xy, start, e, radius, into, out, stops):  # type: ignore[no-untyped-def]
-    """Go from into[0] always to the nearest track; write the poses into[n] and out[n], and as stops[n] the track, its
-    first vertex and the sense.
+    """From into[0], always go to the nearest track; write the poses into[n] and out[n], and the track, its first vertex
+    and its sense to stops[n].
     """
     used = np.zeros(start.size - 1, np.bool_)
     out[0] = into[0]
@@ -250,7 +251,7 @@ def _tour(xy, start, e, room, begin, path):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _out_to_ring(x, y, h, room, out, count):  # type: ignore[no-untyped-def]
-    """Return the way from the last track to the nearest border of the room."""
+    """Return the path from the last track to the nearest border of the room."""
     best, px, py, ph = np.inf, x, y, h
     for side in range(4):
         ah = side * math.pi / 2

@@ -1,8 +1,8 @@
-"""Tracks: level lines of f, each less its own level, as polylines, as far as places are wanted beside them.
+"""Traces level lines of f as polylines, where there are wanted places beside them.
 
-Several lines cross one cell: the grid need not resolve the pitch. Triangles are listed per line; a walk from any of
-them goes both ways until the line closes or ends. Raw points lie where edges are crossed, see `levels`, and most of
-them are left out: the farthest is kept whose chord passes all between within the sag.
+Several lines cross one cell: the grid need not resolve the pitch. Triangles are listed per line; from any of them the
+line is followed both ways until it closes or ends. Raw points lie where edges are crossed, see `levels`, and most of
+them are left out: the farthest point is kept whose chord passes all points between within the sag.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from cam.rows.vertices import TICKS_PER_MM
 
 CHUNKS = 16
 SHORTEST_PITCHES = 6.0
-"""Shorter tracks are dropped: strokes do better."""
+"""Shorter tracks are dropped: strokes cover their places better."""
 
 SAG_PITCHES = 0.015
 SHORTEST_CHORD_PITCHES = 1.5
 LONGEST_CHORD_PITCHES = 25.0
 SHARP = math.cos(math.radians(50.0))
-"""Tracks that turn more at a vertex, as level lines do at saddles, are parted there; the tour joins the parts."""
+"""Tracks that turn more than this at a vertex, as level lines do at saddles, are split there; the tour joins the parts.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,7 +125,7 @@ def _find_needed(raw, begin, end, wanted, reach):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _beside(a, b, wanted, reach):  # type: ignore[no-untyped-def]
-    """Return whether a place is wanted across from a, where the line goes on to b, within the reach."""
+    """Return whether there is a wanted place within the reach, perpendicular to the line from a to b."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy) + 1e-12
     for k in range(-4, 5):
@@ -178,7 +179,7 @@ def thin_line(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
             low, high = max(low, turn - wide), min(high, turn + wide)
         far = away
         i += 1
-    if far < shortest and count > start[tracks] + 1:  # no crumb at the end
+    if far < shortest and count > start[tracks] + 1:  # avoid a tiny piece at the end
         count -= 1
     tracks, count = _put(points[n - 1, 0], points[n - 1, 1], xy, start, tracks, count)
     if tracks == first and _closes_sharply(xy, start[tracks], count):
@@ -200,7 +201,7 @@ def _sharp(a, b, c):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _closes_sharply(xy, begin, end):  # type: ignore[no-untyped-def]
-    """Return whether a track is closed and turns too much where it does: there no vertex has been looked at."""
+    """Return whether a track is closed and turns too much where it closes, which no other test covers."""
     last = end - 1
     closed = begin + 2 < last and xy[begin, 0] == xy[last, 0] and xy[begin, 1] == xy[last, 1]
     return closed and _sharp(xy[last - 1], xy[last], xy[begin + 1])

@@ -1,1 +1,1 @@
-"""Which tools, pitches and passes: all plans at a guess, then the choice."""
+"""Plans tools, pitches and passes: estimates all plans, then chooses one."""

@@ -1,4 +1,4 @@
-"""How long a pass will take, before it is written: rows at the speed that feed, lines and look-ahead allow.
+"""Estimates the time of a pass before it is written: rows at the speed that feed, line rate and look-ahead allow.
 
 `cam.duration` gives the time of a written program; this is within some percent of it, from the lens's form alone. The
 speed of a chord is the least of: the feed; its length times the lines a second; what the look-ahead window, chords of
@@ -23,15 +23,15 @@ from cam.surface.stock_touch import concave_curvature, dilate
 from optics.heightfield import Array, Heightfield
 
 _SAMPLES = 160  # along a side of the lens
-_PLACES_A_RADIUS = 16  # of a ball, at most; what it bends between them is a two-thousandth of its radius
-_USED = 0.85  # of the length that the rule allows a chord
+_PLACES_A_RADIUS = 16  # most places per radius; between them a ball bends by a two-thousandth of its radius
+_USED = 0.85  # of the chord length that the rule allows
 _LEAST_GAP = 0.25  # of 1 - kR: nearer to 0 the ball hardly fits, and its grooves are no longer those of rows
 LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensForm:
-    """What a plan needs to know of a lens, (n,) over evenly spread places.
+    """The data of a lens for plans, (n,) over evenly spread places.
 
     heights_mm       : sorted
     slopes           : of the surface, sorted
@@ -62,7 +62,7 @@ class LensForm:
         return cls._at(lens, np.ravel(x), np.ravel(y), np.sort(concave_curvature(lens), axis=None))
 
     def among(self, x_mm: Array, y_mm: Array) -> LensForm:
-        """Return the form of the same lens by those places (n,) alone; its sides and hollows are those of the whole."""
+        """Return the form of the same lens at only those places (n,); its sides and hollows are those of the whole."""
         return self._at(self.lens, x_mm, y_mm, self.hollows_per_mm)
 
     @classmethod
@@ -103,7 +103,7 @@ class LensForm:
 
     def tooth_slopes_rad(self, spec: PassSpec, step_mm: float) -> float:
         """Return the rms slopes that steps within moves leave along the rows. A contour hardly rises, but its few teeth
-        are long: as much as rows in both directions, on average (without them a plan promised 0.6 dB too much).
+        are long: on average they count like rows in both directions (without them a plan promised 0.6 dB too much).
         """
         return _tooth_slopes_rad(self, spec.strategy, spec.direction, spec.radius_mm, step_mm)
 
@@ -122,7 +122,7 @@ class LensForm:
     def widen_factor(self, spec: PassSpec, reach_mm: float) -> float:
         """Return how much farther than their slope errors alone the grooves of a pass send light, rms.
 
-        reach_mm : how far a slope of 1 sends light aside; negative where a hollow gathers it, on a mirror
+        reach_mm : how far a slope of 1 deflects light; negative if a hollow focuses it, on a mirror
 
         A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light is spread over as much
         by where it starts, and over reach / R of that by its slopes.
@@ -148,7 +148,7 @@ class LensForm:
         return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
 
 
-@lru_cache(maxsize=32)  # asked again for every tool of a radius
+@lru_cache(maxsize=32)  # called again for every tool of a radius
 def _tips_mm(form: LensForm, radius_mm: float) -> Array:
     sides_mm = form.width_mm, form.height_mm
     side_mm = sqrt(sides_mm[0] * sides_mm[1])
@@ -168,7 +168,7 @@ def _across(form: LensForm, strategy: Strategy, direction: Direction) -> list[tu
     return both if strategy == "contour" else [both["xy".index(direction)]]
 
 
-@lru_cache(maxsize=32)  # asked again for every pitch, as what follows
+@lru_cache(maxsize=32)  # called again for every pitch, like the next ones
 def _steepness(form: LensForm, strategy: Strategy, direction: Direction) -> float:
     return round(float(np.sqrt(np.mean([steep**2 for steep, _ in _across(form, strategy, direction)]))), 3)
 
@@ -227,7 +227,7 @@ def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> floa
 
 
 def turn_s(spec: PassSpec, mill: Kinematics) -> float:
-    """Return what braking into the turn from a row to the next, and speeding up after it, costs."""
+    """Return the time for braking into the turn between two rows and accelerating after it."""
     feed, acceleration = spec.feed_mm_per_min / 60, min(mill.acceleration_mm_per_s2[:2])
     turning = min(feed, sqrt(acceleration * spec.pitch_mm / 2))
     return (feed - turning) ** 2 / feed / acceleration

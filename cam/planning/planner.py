@@ -1,8 +1,8 @@
-"""Which balls, pitches, directions and passes: every sensible way to mill a lens, what each costs, and the choice.
+"""Plans balls, pitches, directions and passes: finds every sensible way to mill a lens, its cost, and chooses one.
 
-What the light will be is asked of the caller (`Light`), for this package knows no light. A lens is shaped for the ball
-that finishes it, so each ball has a lens of its own: a larger one leaves finer traces of itself, its steps and its
-noise, and fills more of the valleys that make the picture's darkest places.
+The caller predicts the light (`Light`), because this package does not model light. A lens is shaped for the ball that
+finishes it, so each ball has its own lens: a larger ball leaves finer cusps, steps and noise, and fills more of the
+valleys that make the darkest parts of the picture.
 """
 
 from __future__ import annotations
@@ -25,19 +25,22 @@ from cam.tools import Tool, tool_pass
 from phrases.phrase import Phrase
 
 DOUBLING_DB = 0.75
-"""That a picture must gain to be worth twice the time; an eye sees about 1. `camera` finished by hand on steps of 1 um:
-27.6 dB in 4 h, where 28.6 take 15."""
+"""Gain of a picture that is worth twice the time; an eye sees about 1. `camera` finished by hand on steps of 1 um: 27.6
+dB in 4 h, 28.6 dB in 15 h.
+"""
 
 WORTH_DB = 0.03
-"""Less is as good."""
+"""Smaller differences do not count."""
 _GUESS_DB, _GOOD_DB = 0.25, 2.0
 LEAST_FIT = 0.95
-"""Of the lens, that a ball must fit to finish it: what it leaves filled is known well enough to predict its light."""
+"""Share of the lens that a ball must fit to finish it: then its filled valleys are known well enough to predict the
+light.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """What is wanted; all None: the picture from which on no doubling of the time gains DOUBLING_DB."""
+    """The goal. If all are None: the picture beyond which no doubling of the time gains DOUBLING_DB."""
 
     hours: float | None = None
     blur_mm: float | None = None
@@ -51,7 +54,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Marks:
-    """What finishing leaves on a lens: slope errors by the rows of a pass, and by those of a rest pass after it."""
+    """Slope errors that finishing leaves on a lens: by the rows of a pass, and by those of a rest pass after it."""
 
     spec: PassSpec
     slopes: RowSlopes
@@ -68,14 +71,14 @@ class Marks:
 
 
 class Light(Protocol):
-    """What a lens shows as milled. Each ball has a lens: as it was made for that ball, or as that ball leaves it."""
+    """Predicts the light of milled lenses. Each ball has a lens: made for that ball, or as that ball leaves it."""
 
     def psnr_db(self, marks: Marks) -> float:
-        """Guess the PSNR quickly."""
+        """Return a quick estimate of the PSNR."""
         ...
 
     def settle(self, several: Iterable[Marks]) -> None:
-        """Make the lenses for those balls once more, sharper by as much as those rows will blur."""
+        """Design the lenses for those balls again, sharpened by the blur of those rows."""
         ...
 
     def aimed_db(self, marks: Marks) -> float:
@@ -91,7 +94,7 @@ class Light(Protocol):
 class Candidate:
     """One way to mill the lens.
 
-    rest    : the last of the passes, where a rest pass follows the finish
+    rest    : the last of the passes, if a rest pass follows the finish
     blur_mm : of the finish alone
     """
 
@@ -133,7 +136,7 @@ class Plan:
     chosen: Candidate
     front: tuple[Candidate, ...]
     left_out: tuple[tuple[str, Phrase], ...]
-    met: bool  # the goal, as far as hours, blur or PSNR were given
+    met: bool  # whether the goal (hours, blur or PSNR) is met
 
     @property
     def best(self) -> Candidate:
@@ -145,7 +148,7 @@ class Plan:
 
 
 class NoPlanError(ValueError):
-    """No tool of the shop can finish the lens; `left_out` says of each why."""
+    """No tool of the shop can finish the lens; `left_out` has the reason for each."""
 
     def __init__(self, left_out: tuple[tuple[str, Phrase], ...]) -> None:
         super().__init__("; ".join(f"{name}: {reason}" for name, reason in left_out) or "there are no tools")
@@ -160,10 +163,10 @@ def find_candidates(
     fillings: Mapping[float, Filled],
     quickly: bool = False,
 ) -> tuple[list[Candidate], tuple[tuple[str, Phrase], ...]]:
-    """Return all candidates, each with the light's guess, and the tools left out, each with the reason.
+    """Return all candidates with their estimated light, and the tools left out, each with its reason.
 
-    quickly : their times from fewer moves, within a tenth or two minutes
-    NoPlanError where all are left out.
+    quickly : estimate times from fewer moves, within a tenth or two minutes
+    NoPlanError if all are left out.
     """
     reasons = {tool: _find_reason(tool, lenses.get(tool.radius_mm), shop) for tool in shop.balls}
     left_out = tuple((tool.name, reason) for tool, reason in reasons.items() if reason is not None)
@@ -183,14 +186,14 @@ def find_candidates(
 
 
 def _find_reason(tool: Tool, form: LensForm | None, shop: Shop) -> Phrase | None:
-    """Return why a tool is left out, as a clause; None where it is not."""
+    """Return why a tool is left out, as a clause; None if it is not."""
     if form is None:
         return find_unheld(tool, shop) or Phrase("no lens was shaped for it")
     return find_exclusion(tool, form, shop) or _find_misfit(tool, form)
 
 
 def _plan_beside_rows(rough: Roughing, fitting: list[tuple[Tool, LensForm]]) -> None:
-    """Plan the first roughing, which is Python, while kernels make the rows of all balls; both are remembered."""
+    """Plan the first roughing, in Python, while kernels make the rows of all balls; both results are cached."""
     shop = rough.shop
 
     def make_rows(tool: Tool, form: LensForm) -> None:
@@ -214,10 +217,10 @@ def plan_among(
     lenses: Callable[[], Mapping[float, LensForm]],
     quickly: bool = False,
 ) -> Plan:
-    """Choose among candidates that the light has guessed.
+    """Choose among candidates whose light has been estimated.
 
-    lenses  : as they are now, by radius of the finishing ball
-    quickly : their times from fewer moves, as in `find_candidates`
+    lenses  : the present ones, by radius of the finishing ball
+    quickly : estimate times from fewer moves, as in `find_candidates`
     """
     near = _select_near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
@@ -237,7 +240,7 @@ def plan_among(
 def _time_again(
     one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop, *, quickly: bool = False
 ) -> Candidate:
-    """Return a candidate whose finish takes the rows of another lens: a sharper one has shorter chords."""
+    """Return the candidate with its finish timed on another lens: a sharper lens has shorter chords."""
     made_rows = FEW_ROWS if quickly else ROWS
     before_s, now_s = (
         rows_s(lens, one.finish, shop.mill, shop.digits, made_rows=made_rows) for lens in (guessed, settled)
@@ -248,10 +251,10 @@ def _time_again(
 
 
 def time_by_lens(plan: Plan, lens: LensForm, goal: Goal, *, guessed: LensForm, shop: Shop) -> Plan:
-    """Return a plan that takes as long as its lens does: what else that ball would take in proportion.
+    """Return the plan with times from its actual lens; the other candidates of that ball are scaled in proportion.
 
-    lens    : of the choice, as fine as the job's: fine detail has shorter chords and walls of its own
-    guessed : the coarse one that the plan was made with
+    lens    : of the choice, at the job's resolution: fine detail has shorter chords and its own walls
+    guessed : the coarse lens with which the plan was made
     """
     chosen = plan.chosen
     timed = _time_again(chosen, guessed, lens, shop)
@@ -269,7 +272,7 @@ def time_by_lens(plan: Plan, lens: LensForm, goal: Goal, *, guessed: LensForm, s
 
 
 def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, Phrase], ...], goal: Goal) -> Plan:
-    """Choose among candidates by what they say of themselves."""
+    """Choose among candidates by their own scores."""
     front = _select_front(candidates)
     chosen, met = choose(front, goal)
     return Plan(chosen=chosen, front=front, left_out=left_out, met=met)
@@ -290,7 +293,7 @@ def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
 
 
 def _select_front(candidates: list[Candidate]) -> tuple[Candidate, ...]:
-    """Select those better by more than WORTH_DB than all that are quicker, or as quick and cheaper."""
+    """Select candidates that are better by more than WORTH_DB than all that are quicker, or as quick and cheaper."""
     front: list[Candidate] = []
     for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
         if not front or one.psnr_db > front[-1].psnr_db + WORTH_DB:
@@ -299,7 +302,7 @@ def _select_front(candidates: list[Candidate]) -> tuple[Candidate, ...]:
 
 
 def _select_near_front(candidates: list[Candidate]) -> list[Candidate]:
-    """Select those that a guess puts on the front, and of good ones those so little behind that a closer look may."""
+    """Select the candidates that an estimate puts on the front, and good ones so close to it that a closer look may."""
     good_db = max(one.psnr_db for one in candidates) - _GOOD_DB
     near: list[Candidate] = []
     best_db = -inf
@@ -311,7 +314,7 @@ def _select_near_front(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _find_misfit(tool: Tool, form: LensForm) -> Phrase | None:
-    """Return how little of the lens a ball fits, as a clause; None where it fits enough."""
+    """Return a clause about the small share of the lens that a ball fits; None if it fits enough."""
     if (share := form.reached_share(tool.radius_mm)) >= LEAST_FIT:
         return None
     return Phrase(
@@ -324,7 +327,7 @@ def _find_misfit(tool: Tool, form: LensForm) -> Phrase | None:
 def _generate_candidates(
     tool: Tool, rough: Roughing, rests: RestWork, light: Light, made_rows: int
 ) -> Iterator[Candidate]:
-    """Yield every finish with a tool, alone and, where it leaves anything, with a rest pass."""
+    """Yield every finish with a tool, alone and, if it leaves stock, with a rest pass."""
     for finish in _generate_finishes(tool, rough.shop):
         if rough.plan_before(finish) is None:
             continue

@@ -1,7 +1,8 @@
-"""Rest passes in a plan: what a finishing ball leaves in valleys too narrow for it, which small ball takes that out,
-how closely, and for how long.
+"""Plans rest passes: the stock that a finishing ball leaves in valleys too narrow for it, the small ball that removes
+it, its pitch, and its time.
 
-As `cam.rows.rest` will cut them, but known from the lens alone: stock stands where the ball bridges a valley.
+They are predicted as `cam.rows.rest` will cut them, but from the lens alone: stock remains where the ball bridges a
+valley.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from optics.heightfield import Array, Heightfield
 Mask = npt.NDArray[np.bool_]
 
 _REACHES, _HELPS = 0.1, 0.5
-"""Of the area that the big ball leaves filled, what the small one may: to reach it, or at the least to be of use."""
+"""Shares of the area left by the big ball that the small one may leave: to count as reaching all, or at least as
+useful.
+"""
 
 _MEDIAN_CUSP = 1 / 4  # of its height
 _MOST_PLACES = 20_000  # whose curvature decides how fast the rows run
@@ -35,7 +38,7 @@ _MOST_PLACES = 20_000  # whose curvature decides how fast the rows run
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Filled:
-    """What a ball leaves in the valleys of a lens that it cannot enter.
+    """Stock that a ball leaves in the valleys that it cannot enter.
 
     over_mm (ny, nx) : stock above the lens at its vertices, cusps not counted
     """
@@ -44,7 +47,7 @@ class Filled:
     over_mm: Array
 
     def core(self, cusp_mm: float = 0.0) -> Mask:
-        """Return where stock stands higher than regular cusps explain."""
+        """Return where there is more stock than regular cusps explain."""
         return np.asarray(self.over_mm > LEAST_MM + CUSPS * _MEDIAN_CUSP * cusp_mm)
 
     @cached_property
@@ -53,7 +56,7 @@ class Filled:
         return float(self.core().mean())
 
     def within(self, reach_mm: float, cusp_mm: float = 0.0) -> Mask:
-        """Return (ny, nx) what lies no farther than that from the core."""
+        """Return (ny, nx) whether a vertex is within that distance of the core."""
         core = self.core(cusp_mm)
         if not core.any():
             return core
@@ -62,7 +65,7 @@ class Filled:
         )
 
     def form_near(self, form: LensForm) -> LensForm:
-        """Return the lens's form by places in the core and beside it alone, evenly thinned."""
+        """Return the lens's form sampled only in and beside the core, evenly thinned."""
         rows, columns = np.nonzero(self.within(BLEND_MM))
         every = slice(None, None, ceil(rows.size / _MOST_PLACES))
         return form.among(self.lens.x_mm[columns[every]], self.lens.y_mm[rows[every]])
@@ -76,7 +79,7 @@ class Filled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestExtent:
-    """area_mm2, length_mm: where tips go, the band around included; regions are entered one by one."""
+    """area_mm2, length_mm: of the region of the tips, including the band around it; regions are entered one by one."""
 
     area_mm2: float
     length_mm: float
@@ -85,7 +88,7 @@ class RestExtent:
 
     @classmethod
     def of(cls, filled: Filled, form: LensForm, spec: PassSpec, mill: Kinematics) -> RestExtent:
-        """Measure a rest pass where that is left; form: of the whole lens."""
+        """Measure the rest pass for that stock; form: of the whole lens."""
         near = filled.within(_reach_mm(form, spec), spec.pitch_mm**2 / (8 * spec.radius_mm))
         if not near.any():
             return cls(area_mm2=0.0, length_mm=0.0, regions=0, seconds=0.0)
@@ -120,7 +123,7 @@ class RestWork:
         self._known: dict[tuple[Direction, float], RestPass] = {}
 
     def plan_after(self, finish: PassSpec) -> RestPass | None:
-        """Plan the rest pass; None: nothing is left, or no tool of the shop reaches it."""
+        """Plan the rest pass; None if nothing is left or no tool of the shop reaches it."""
         if self._filled is None or self._smaller is None:
             return None
         direction: Direction = finish.direction if finish.strategy == "raster" else "x"
@@ -142,7 +145,7 @@ class RestWork:
 def _choose_smaller(
     big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]
 ) -> Tool | None:
-    """Return the largest ball that reaches what the big one leaves, or the one that reaches most; None: none is of
+    """Return the largest ball that reaches what the big one leaves, or the one that reaches most; None if none is of
     use.
     """
     if left.share == 0:
@@ -160,7 +163,7 @@ def _choose_smaller(
 
 
 def _pitch_mm(tool: Tool, finish: PassSpec) -> float:
-    """Return a pitch as close for its ball as that of the finish: the scallops are as steep."""
+    """Return the pitch at which this ball's scallops are as steep as those of the finish."""
     allowed = finish.pitch_mm * tool.radius_mm / finish.radius_mm
     return max((pitch for pitch in pitches_mm(tool) if pitch <= allowed + 1e-9), default=pitches_mm(tool)[0])
 
@@ -175,14 +178,14 @@ def _make_spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) ->
 
 
 def _reach_mm(form: LensForm, spec: PassSpec) -> float:
-    """Return how far from the stock that is left tips go: from contact to tip, a row more, and the band."""
+    """Return how far beyond the remaining stock tips go: from contact to tip, one row more, and the band."""
     steepest = float(form.slopes[-1])
     lean_mm = spec.radius_mm * steepest / float(np.hypot(1.0, steepest))
     return lean_mm + spec.pitch_mm + max(BLEND_MM, 2 * spec.radius_mm)
 
 
 def _turns(lens: Heightfield, near: Mask, spec: PassSpec) -> float:
-    """Return the number of row ends, by those of the vertices' own rows."""
+    """Return the number of row ends, estimated from the rows of vertices."""
     along, spacing_mm = (near, lens.dy_mm) if spec.direction == "x" else (near.T, lens.dx_mm)
     starts = along[:, 0].sum() + (along[:, 1:] & ~along[:, :-1]).sum()
     return float(starts) * spacing_mm / spec.pitch_mm

@@ -1,4 +1,6 @@
-"""The quickest way from a block to a lens's finish: one rough pass in layers, of a ball or of a flat cutter, or two."""
+"""Plans the quickest roughing from a block to a lens's finish: one or two passes in layers, with a ball or a flat
+cutter.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,20 @@ from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
 _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
-_GUESS_SHARE = 1.25  # of the least guess: first passes of tools beyond it are not made
+_GUESS_SHARE = 1.25  # of the lowest estimate: first passes of tools above it are not computed
 _STEEP_SHARE = 0.8  # of the pitch that a coarse lens allows: a fine one is steeper
-_STAIRS_SHARE = 0.35  # of a whole layer's time: what stairs of flat ends ask for; 0.16 to 0.49 of six jobs
-_CHANGE_S = 300.0  # that one more tool must spare
+_STAIRS_SHARE = 0.35  # of a whole layer's time, for the stairs of flat ends; 0.16 to 0.49 in six jobs
+_CHANGE_S = 300.0  # that one more tool must save
 _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
-"""What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
+"""Least stock that a first pass leaves; and the most, in layers of the finish, if the finish is to need no layers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
     """Passes before the finish, and the deepest stock that they leave to it, measured along Z.
 
-    form    : that the first was made for
-    quickly : what flat ends leave to be cut in layers is guessed
+    form    : the form for which the first was made
+    quickly : the layers after flat ends are estimated
     """
 
     passes: tuple[PassSpec, ...]
@@ -40,7 +42,7 @@ class Before:
     quickly: bool = False
 
     def layers_s(self, form: LensForm, after: PassSpec, shop: Shop) -> float:
-        """Return the seconds that the next pass takes for more of it than one move may take off."""
+        """Return the seconds that the next pass needs for stock that is too much for one move."""
         last = self.passes[-1]
         if last.is_ball:
             return finish_layers_s(form, after, self.depth_mm, shop.mill)
@@ -51,10 +53,10 @@ class Before:
 
 
 class Roughing:
-    """The quickest way from the block to a lens's finish, asked for again and again.
+    """The quickest roughing to a lens's finish, for repeated queries.
 
-    like    : for a lens that differs only by what balls leave of it: first passes take as long
-    quickly : one first pass is made, and others guessed to be off by as much
+    like    : for a lens that differs only in its filled valleys: first passes take as long
+    quickly : one first pass is computed, and the error of its estimate is assumed for the others
     """
 
     def __init__(self, *, form: LensForm, shop: Shop, like: Roughing | None = None, quickly: bool = False) -> None:
@@ -67,7 +69,7 @@ class Roughing:
         self._known: dict[tuple[float, float], Before | None] = {}
 
     def plan_before(self, finish: PassSpec) -> Before | None:
-        """Plan a rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
+        """Plan a rough, and a second rough if that is quicker than layers of the finish; None if no tool can."""
         key = (finish.radius_mm, finish.step_down_mm)
         if key not in self._known:
             self._known[key] = self._choose_quickest(finish)
@@ -80,7 +82,7 @@ class Roughing:
         return min(ways, key=lambda way: self._count_s(way, finish), default=None)
 
     def _count_s(self, way: Before, finish: PassSpec) -> float:
-        """Return the seconds that a way costs. A flat cutter cannot finish, so the change to one more tool counts."""
+        """Return the cost of a roughing in seconds. A flat cutter cannot finish, so its tool change counts."""
         change_s = 0.0 if way.passes[0].is_ball else _CHANGE_S
         return sum(way.seconds) + way.layers_s(self.form, finish, self.shop) + change_s
 
@@ -121,7 +123,7 @@ class Roughing:
 
     def _first_spec(self, tool: Tool) -> PassSpec:
         pitch_mm = _pitch_share(tool) * tool.radius_mm
-        if not tool.is_ball:  # stairs of which no move takes more than it may
+        if not tool.is_ball:  # stairs that are within the step-down of every move
             stair_mm = STAIR_SHARE * self.shop.layer_step_down_mm(tool, pitch_mm)
             pitch_mm = min(
                 pitch_mm, floor(100 * _STEEP_SHARE * stair_mm / max(1e-9, float(self.form.slopes[-1]))) / 100
@@ -129,7 +131,9 @@ class Roughing:
         return self._make_spec(tool, pitch_mm, _rough_leaves(tool))
 
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
-        """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""
+        """Yield the same first pass with a little less stock to leave, if the finish then needs no layers. It takes as
+        long.
+        """
         spec = rough.passes[0]
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
         left_mm = floor(left_mm * 100 + 1e-9) / 100
@@ -181,7 +185,7 @@ def _cusp_mm(spec: PassSpec) -> float:
 
 
 def _rough_leaves(tool: Tool) -> float:
-    """Return what a first pass leaves: a flat end mill leaves stairs besides."""
+    """Return the stock that a first pass leaves: a flat end mill also leaves stairs."""
     leaves_mm = min(_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE * tool.radius_mm)
     return leaves_mm / 2 if tool.corner_radius_mm == 0 else leaves_mm
 

@@ -2,13 +2,13 @@
 
 Each row leaves a cylinder of the ball's radius, off in height by its own error d, and the surface is the lowest of all:
 min over i of d_i + (y - y_i)^2 / 2R (reference: paper, Fig. 15). Without errors that is the scallop, slopes even in
-+-p / 2R. With errors the deepest rows decide and the others leave no trace: facets are then about sqrt(8 R sigma) wide
-however close the rows are, so slopes go as sqrt(sigma / R), and only a larger ball helps.
++-p / 2R. With errors, only the deepest rows leave a trace: facets are then about sqrt(8 R sigma) wide however close the
+rows are, so slopes go as sqrt(sigma / R), and only a larger ball helps.
 
 Heights are off by the mill's noise, one figure a row, and by its steps: targets are whole steps, so a vertex is off by
-up to half of one, and the chord to the next vertex off in slope by the difference over its length. Of vertices that
-`cam.rows.rounding` puts where the path goes through whole steps, little of both is left. Within a move the axis goes up
-a slope by whole steps, too, and the ball leaves a tooth for each.
+up to half of one, and the chord to the next vertex off in slope by the difference over its length. Little of both
+remains for vertices that `cam.rows.rounding` places where the path crosses whole steps. Within a move the axis also
+climbs a slope in whole steps, and the ball leaves a tooth for each.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _HIDDEN = 0.53  # fits the facets of `cam.as_milled` within 15 % for balls of 0.
 class SlopeSpread:
     """How slope errors along one direction are distributed: slope (n,) and the share of the area (n,), of sum 1.
 
-    Both ways alike: slopes rise evenly through 0 in the middle, n is odd.
+    It is symmetric: slopes rise evenly through 0 in the middle, n is odd.
     """
 
     slope: Array
@@ -120,7 +120,7 @@ def row_slopes(
     step_off_mm = left_of_rows * step_mm / sqrt(12)
     off_mm = sqrt(noise_mm**2 + step_off_mm**2)
     chord = left_of_chords * step_mm / (sqrt(6) * vertex_mm)
-    hidden = _HIDDEN * sqrt(2 * step_off_mm / radius_mm)  # dents shorter than the ball can enter leave no more
+    hidden = _HIDDEN * sqrt(2 * step_off_mm / radius_mm)  # shorter dents, which the ball cannot enter, leave no more
     chord_rad = chord * hidden / sqrt(chord**2 + hidden**2) if chord > 0 else 0.0
     return RowSlopes(
         across=_across(radius_mm, pitch_mm, off_mm).times(steepness),
@@ -213,7 +213,7 @@ def chord_grain(slopes: RowSlopes, *, radius_mm: float, reach_mm: float, pixel_m
 
 
 def _sum_passed(places: Array, edges: Array) -> Array:
-    """Sum over all places of how far each edge lies beyond it."""
+    """Return, for each place, the sum of the distances by which edges lie beyond it."""
     ordered = np.sort(places)
     before = np.searchsorted(ordered, edges)
     return np.asarray(before * edges - np.concatenate([[0.0], np.cumsum(ordered)])[before])

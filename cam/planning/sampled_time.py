@@ -1,9 +1,9 @@
-"""How long a pass will take, by a sample of its moves as its program will have them: a first pass on a coarse lens, or
-a few exact rows (fewer where a plan is to be found quickly).
+"""Estimates the time of a pass from a sample of the moves of its program: a first pass on a coarse lens, or a few exact
+rows (fewer for a quick plan).
 
-`cam.duration` times what `cam.rows` makes and `cam.rows.rounding` puts on the raster of control or mill. What layers
-take is in entries, walls and turns as much as in rows; what exact rows take on a slow link is in vertices, of which the
-raster leaves out up to half: a formula for either is off by a third.
+`cam.duration` times what `cam.rows` makes and `cam.rows.rounding` puts on the raster of control or mill. The time of
+layers depends on entries, walls and turns as much as on rows. The time of exact rows on a slow link depends on
+vertices, of which the raster leaves out up to half. A formula for either would be off by a third.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those betwe
 _FEW_PITCHES_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
 _MOST_SAMPLES = 250_000  # of layers that are made: at most half a second, as of 36 layers for R 3 on 100 mm
-_BLOCK_CELL_MM = 1.0  # of a flat block; any will do
-_LEFT_CELL_MM = 0.25  # of what a first pass leaves
+_BLOCK_CELL_MM = 1.0  # of a flat block; any value works
+_LEFT_CELL_MM = 0.25  # of the stock that a first pass leaves
 _NODES = 4  # a radius, of the surface under rows that are only timed: a ten-thousandth from that under rows to be cut
 _DECIMALS = 5  # as written: points nearer to one another are one
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
@@ -84,7 +84,7 @@ def first_pass_s(
     if spec.finishes or spec.strategy == "contour":
         return planes_s(form, spec, mill) + rows_s(form, spec, mill, digits)
     if _spacing_mm(form, spec) > spec.radius_mm / _LEAST_PLACES:
-        return planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
+        return planes_s(form, spec, mill)  # entries and walls take little of a small ball's time
     return _seconds_of(_first_paths(form, spec, safe_z_mm), np.array([0.0, 0.0, safe_z_mm]), mill)
 
 
@@ -126,7 +126,7 @@ def _left_by(form: LensForm, spec: PassSpec, safe_z_mm: float) -> StockGrid:
 
 
 def _coarse_job(form: LensForm, first: PassSpec) -> tuple[Heightfield, Stock]:
-    """Return the lens as coarse as its first pass allows, and the least block."""
+    """Return the lens at the coarsest resolution that its first pass allows, and the smallest block."""
     lens = _coarsen(form.lens, _spacing_mm(form, first))
     block = Stock(
         width_mm=lens.width_mm,
@@ -201,8 +201,8 @@ def _sampled_s_per_mm(
 
 
 def _join(rows: tuple[Array, ...], spec: PassSpec, z_mm: float) -> Iterator[Path]:
-    """Yield rows (n, 3) in X a pitch apart, there and back, with level turns between them: how high a row lies takes no
-    time, if it is lifted by whole digits z_mm.
+    """Yield rows (n, 3) in X a pitch apart, there and back, with level turns between them: the height of a row does not
+    affect the time, if it is lifted by whole digits z_mm.
     """
     bulge_mm, feed = spec.pitch_mm / 2, spec.feed_mm_per_min
     left, right = rows[0][0, 0] + bulge_mm, rows[0][-1, 0] - bulge_mm
@@ -245,9 +245,10 @@ def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array
 
 @lru_cache(maxsize=64)
 def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """Return about the seconds of the first pass of a ball, by the area of each plane: within a fifth.
+    """Return the approximate seconds of a ball's first pass from the area of each plane: within a fifth.
 
-    Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
+    In addition to the stock above the lens, each plane costs rows at its border, a path along both end walls, and
+    entries.
     """
     tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
@@ -259,7 +260,7 @@ def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60
     gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
     beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
-    crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows run on over what is no wider than the ball
+    crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows continue over gaps no wider than the ball
     planes_mm = -spec.step_down_mm * np.arange(ceil(-float(tips.min()) / spec.step_down_mm))
     rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / distance_mm
     slots = SLOT_FEED * spec.feed_mm_per_min / 60

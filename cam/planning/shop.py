@@ -1,4 +1,4 @@
-"""What there is to mill with: a shop's tools, its material and its mill; what its rows leave on a lens."""
+"""The means for milling: a shop's tools, its material and its mill; and the marks of its rows on a lens."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from cam.tools import Speeds, Tool
 from phrases.phrase import Phrase
 
 CLEAR_MM = 1.0
-"""Of the margin that must stay beside what a ball clears."""
+"""Width of the margin that must stay beside the area that a ball clears."""
 
 PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28, 0.34, 0.4, 0.56, 0.8)
 PITCH_SHARE = 1 / 8
-"""Of the radius, at most, for a pass that finishes."""
+"""Greatest share of the radius for a finishing pass."""
 
 _FINISH_STEP_DOWN_MM, _FINISH_STEP_DOWN_SHARE = 0.5, 1 / 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shop:
-    """What there is to mill with.
+    """Tools, material and mill.
 
     spindle_rpm       : slowest and fastest of the mill
     step_mm, noise_mm : smallest move of its axes; sigma of the height error from row to row
-    whole_steps       : vertices of finishing passes are put where the path goes through whole steps
+    whole_steps       : vertices of finishing passes are placed where the path crosses whole steps
     margin_mm         : of the block around the lens
-    room_mm           : that the mill's travel leaves around the lens
-    strategies        : that finishing passes may take
+    room_mm           : room that the mill's travel leaves around the lens
+    strategies        : allowed for finishing passes
     collet_mm         : the thickest shank that the spindle takes
-    removal_mm3_per_min : the most that spindle and frame take off
-    digits            : that vertices of finishing passes are put on; None: on none coarser than those of the path
-    safe_z_mm         : from which tools come down
+    removal_mm3_per_min : largest removal rate of spindle and frame
+    digits            : raster for the vertices of finishing passes; None: none coarser than that of the path
+    safe_z_mm         : height from which tools come down
     """
 
     tools: tuple[Tool, ...]
@@ -78,7 +78,7 @@ class Shop:
         return 2 * tool.radius_mm + CLEAR_MM <= self.margin_mm and tool.radius_mm <= self.room_mm
 
     def layer_step_down_mm(self, tool: Tool, pitch_mm: float) -> float:
-        """Return the material's step-down, or as much of it as the mill takes off in rows at the tool's feed."""
+        """Return the material's step-down, limited by the mill's removal rate in rows at the tool's feed."""
         speeds = self.speeds(tool)
         return limit_step_down_mm(
             speeds.step_down_mm, pitch_mm, speeds.feed_mm_per_min, removal_mm3_per_min=self.removal_mm3_per_min
@@ -104,7 +104,7 @@ class Shop:
 
 
 def find_unheld(tool: Tool, shop: Shop) -> Phrase | None:
-    """Return why the spindle cannot take a tool, as a clause; None where it can."""
+    """Return why the spindle cannot take a tool, as a clause; None if it can."""
     if shop.holds(tool):
         return None
     return Phrase(
@@ -120,9 +120,7 @@ def pitches_mm(tool: Tool) -> tuple[float, ...]:
 
 
 def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> Phrase | None:
-    """Return why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked
-    elsewhere.
-    """
+    """Return why a tool cannot cover a lens, as a clause. Whether its ball fits the hollows is checked elsewhere."""
     if (unheld := find_unheld(tool, shop)) is not None:
         return unheld
     if 2 * tool.radius_mm + CLEAR_MM > shop.margin_mm:

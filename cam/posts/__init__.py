@@ -1,1 +1,1 @@
-"""Moves to the blocks of one control dialect each."""
+"""Post-processors: each turns moves into the blocks of one control dialect."""

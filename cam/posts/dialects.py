@@ -1,10 +1,10 @@
-"""Every dialect that programs can be written in, by the name that machine profiles give it, and what each can do.
+"""Every dialect in which programs can be written, by its name in machine profiles, and its abilities.
 
 G-code is read by GRBL 1.1, grblHAL and FluidNC; and by controls that once read ISO code from a tape: LinuxCNC,
-Fanuc-like, Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. No control is sent a tool's length: Z0 is set with
-the very tool, and what is active then stays. G40 and G80 end what an earlier program may have left on. Where the least
-input is 0.001 mm, positions have three decimals and always a point: without one, 5 means 0.005 mm. On machining centres
-M8 is coolant everywhere; which word opens the air or the mist is the builder's choice, so none is guessed.
+Fanuc-like, Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. No control is sent a tool length: Z0 is set with that
+tool, and the active tool offset stays. G40 and G80 end what an earlier program may have left on. Where the least input
+is 0.001 mm, positions have three decimals and always a point: without one, 5 means 0.005 mm. On machining centres M8 is
+coolant everywhere; which word opens the air or the mist is the builder's choice, so none is guessed.
 
 Plain data without arrays; `cam.posts.writers` writes.
 """
@@ -81,7 +81,7 @@ OKUMA = Post(
     number_every=100,
     line_end="\r\n",
 )
-# It faults on a cut before S and M03. P of G04 without a point: were it milliseconds, the dwell would only be short.
+# It faults on a cut before S and M03. P of G04 has no point: if it were milliseconds, the dwell would only be short.
 ROLAND_NC = Post(
     name="roland-nc",
     suffix=".nc",
@@ -110,7 +110,7 @@ POSTS: dict[str, Dialect] = {post.name: post for post in _ALL}
 
 
 def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, str, Phrase]]:
-    """Yield (field, value in words, what is allowed) of all that a control of this dialect cannot do."""
+    """Yield (field, value in words, what is allowed) for every request that a control of this dialect cannot fulfil."""
     post = POSTS[dialect]
     if setup.coolant != "none" and setup.coolant not in post.coolant:
         names = [f"'{name}'" for name in ("none", *post.coolant)]

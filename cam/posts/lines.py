@@ -13,9 +13,7 @@ UNKNOWN = np.iinfo(np.int64).min
 
 @njit(cache=True, nogil=True)
 def write_number(value, decimals, least_decimals, out, at):  # type: ignore[no-untyped-def]
-    """Write value / 10^decimals, zeros behind the least decimals left out, into out[at:]; return the place after
-    it.
-    """
+    """Write value / 10^decimals, without zeros after the least decimals, to out[at:]; return the place after it."""
     if value < 0:
         out[at] = 45  # -
         at += 1
@@ -50,8 +48,8 @@ def write_lines(  # type: ignore[no-untyped-def]
 ):
     """Write points (n, 3) as blocks into out; state (4,) int64: the last position and the lines written, updated.
 
-    Axis words only where they changed, no block where none did; `opening` and `closing` (a motion word, a feed word)
-    go on the first block alone. Returns bytes and lines written.
+    Axis words are written only if they have changed, and no block if none has; `opening` and `closing` (a motion word,
+    a feed word) only go on the first block. Return the bytes and lines written.
     """
     at = 0
     lines = 0

@@ -1,10 +1,10 @@
-"""What a writer of programs is given. A dialect, of G-code or RML-1; and a set-up: what a program does beside its cuts,
-with work offset, the head raised first and last, coolant, corners, the spindle. Plain data without arrays: a job can be
-refused where nothing is computed.
+"""The inputs of a program writer: a dialect, of G-code or RML-1, and a set-up. The set-up is what a program does
+besides cutting: work offset, raising the head first and last, coolant, corners, the spindle. Plain data without arrays,
+so that a job can be refused without computing anything.
 
 RML-1 of Roland's mills has straight moves in whole hundredths of a millimetre at a speed in mm/s, ended by `;`. There
 is no rapid, no comment and no arc: rapids run at the greatest speed, and cutting stays below it. A hundredth is a
-thousand times the height of a scallop; what that does to the light is for the report to say.
+thousand times the height of a scallop; the report says what that does to the light.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from cam.errors import LineTooLongError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Digits:
-    """How finely a dialect, or a mill, can state a position: the last digit of X and Y, and that of Z."""
+    """The resolution of positions in a dialect or on a mill: the last digit of X and Y, and that of Z."""
 
     xy_mm: float
     z_mm: float
 
     def coarsen(self, step_mm: float) -> Digits:
-        """Return the raster of a mill that moves in such steps: whole steps, where they are coarser than the digits."""
+        """Return the resolution on a mill with these steps: whole steps where they are coarser than the digits."""
         return Digits(xy_mm=_coarser(self.xy_mm, step_mm), z_mm=_coarser(self.z_mm, step_mm))
 
 
 def _coarser(digit_mm: float, step_mm: float) -> float:
-    """Return a step that the digits can state exactly, no finer than either; the digit where steps are finer."""
+    """Return a step that the digits can state exactly and that is no finer than either; the digit if the steps are
+    finer.
+    """
     return max(1, round(step_mm / digit_mm)) * digit_mm
 
 
@@ -37,7 +39,7 @@ def _coarser(digit_mm: float, step_mm: float) -> float:
 class Post:
     """One dialect of G-code: words, decimals, first and last blocks. It decides nothing about geometry.
 
-    tape           : before the remarks: what a control wants first, such as % and the program's name
+    tape           : before the remarks: what a control requires first, such as % and the program's name
     start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and the work offset, {offset} or
                      {offset_number}, are filled in
     offset_name    : what the control calls it, in a sentence, of the same two
@@ -89,7 +91,7 @@ class Post:
 
     @property
     def digits(self) -> Digits:
-        """The raster on which this dialect can write a position."""
+        """The resolution of positions that this dialect can write."""
         return Digits(xy_mm=10.0**-self.xy_decimals, z_mm=10.0**-self.z_decimals)
 
     @property
@@ -118,7 +120,7 @@ class Post:
         return (text + self.line_end).encode("ascii")
 
     def remark(self, text: str) -> bytes:
-        """Return a comment, cut to the line length; what would end or break it is replaced."""
+        """Return a comment, cut to the line length. Characters that would end or break it are replaced."""
         opening, closing = self.comment
         text = text.upper() if self.capitals else text
         plain = "".join(c if c.isascii() and c.isprintable() and c not in opening + closing else "_" for c in text)
@@ -133,8 +135,9 @@ def number(value: float, least_decimals: int = 0) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RmlPost:
-    """RML-1 as the MDX-40 branch speaks it: V in tenths of a mm/s up to 50, !RC in rpm, W in milliseconds. It has words
-    neither for coolant nor for corners."""
+    """RML-1 as the MDX-40 family uses it: V in tenths of a mm/s up to 50, !RC in rpm, W in milliseconds. It has no
+    words for coolant or corners.
+    """
 
     name: str = "rml-1"
     suffix: str = ".rml"
@@ -158,15 +161,15 @@ Coolant = Literal["none", "air", "mist", "flood"]
 HighPrecision = Literal["none", "g05.1", "g08"]
 
 HIGH_PRECISION_WORDS: Mapping[str, tuple[str, str]] = {"g05.1": ("G05.1Q1", "G05.1Q0"), "g08": ("G08P1", "G08P0")}
-"""On and off, of Fanuc-like controls that have the option."""
+"""Words that switch the mode on and off, on Fanuc-like controls that have the option."""
 
 WARM_UP_SHARES = (0.25, 0.5, 0.75, 1.0)
-"""Of the program's spindle speed, one step after the other for equal times."""
+"""Shares of the program's spindle speed, one step after the other, each for the same time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramSetup:
-    """What a program switches on before its first cut, and off after its last.
+    """What a program switches on before its first cut and off after its last.
 
     work_offset        : 1 to 6: G54 to G59, or what the control calls them
     blend_tolerance_mm : how far the path may leave its corners; 0: an exact stop at each; None: as the post has it
@@ -189,7 +192,7 @@ class ProgramSetup:
         return replace(self, warm_up_s=0.0)
 
     def spindle_steps(self, rpm: float, *, dwell_s: float) -> tuple[tuple[float, float], ...]:
-        """Return (speed [rpm], dwell [s]) one after the other; the last speed is rpm.
+        """Return the steps (speed [rpm], dwell [s]) in order; the last speed is rpm.
 
         dwell_s : that a spindle needs to come up to speed at all
         """

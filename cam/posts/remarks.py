@@ -1,4 +1,4 @@
-"""What the operator reads at the head of a program: cutter, block and zero, a line each."""
+"""Remarks for the operator at the head of a program: cutter, block and zero, one line each."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def describe_pass(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
 
 
 def name_cutter(spec: PassSpec) -> str:
-    """Return what the cutter is called, with the radius of its corner where that says more than its shape."""
+    """Return the name of the cutter, with the radius of its corner if its shape does not imply it."""
     corner_mm = spec.shape.corner_mm(spec.radius_mm)
     return f"{spec.shape.name} end mill" + ("" if spec.is_ball or not corner_mm else f" corner {n(corner_mm)} mm")
 
 
 def describe_around(task: Facing | WitnessCut | CutOut, stock: Stock) -> tuple[str, ...]:
-    """Return the remarks of what is milled beside the lens."""
+    """Return the remarks of a program that mills around the lens."""
     if isinstance(task, Facing):
         return (
             f"face: {task.shape} end mill radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0",
@@ -47,5 +47,5 @@ def describe_around(task: Facing | WitnessCut | CutOut, stock: Stock) -> tuple[s
 
 
 def describe_part(part: int) -> str:
-    """Return the remark of a later part of a program that its control cannot hold whole."""
+    """Return the remark of a later part of a program that is too large for its control."""
     return f"part {part}: goes on where part {part - 1} has ended"

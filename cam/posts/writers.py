@@ -21,7 +21,7 @@ FASTEST_MM_PER_S = 50.0
 DWELL_S = 4.0
 _LONGEST_WAIT_MS = 30_000  # of a range that ends at 32,767
 _TOP_UNITS = 10_500  # a height that no mill of the kind reaches: it stops at its top
-_TOP = f"^PR;Z0,0,{_TOP_UNITS};^PA;"  # from wherever the tool stands
+_TOP = f"^PR;Z0,0,{_TOP_UNITS};^PA;"  # from any position of the tool
 
 
 class Writer(Protocol):
@@ -37,8 +37,9 @@ class Writer(Protocol):
         setup: ProgramSetup | None = None,
         trace: Iterable[Path] = (),
     ) -> bytes:
-        """Write all before the first cut: modes, safe height, the trace in the air, spindle up to speed, what `setup`
-        switches on. program: number, from 1; trace: paths run before the spindle turns, where the control allows that.
+        """Write everything before the first cut: modes, safe height, the trace in the air, spindle up to speed, and all
+        that `setup` switches on. program: number, from 1; trace: paths run before the spindle turns, where the control
+        allows that.
         """
 
     def write(self, path: Path) -> Iterator[bytes]:
@@ -58,11 +59,11 @@ def create_writer(dialect: Dialect) -> Writer:
 
 
 class ProgramWriter:
-    """Paths to blocks; words that have not changed are not repeated. Holds the modal state, nothing else."""
+    """Turns paths into blocks without repeating unchanged words. Its only state is the modal state."""
 
     def __init__(self, post: Post) -> None:
         self.post = post
-        self._raised = False  # the head stands at its top: the tool must get over its place before it comes down
+        self._raised = False  # the head is at its top: the tool must move over its place before it comes down
         self._motion: str | None = None
         self._feed: float | None = None
         self._state = np.array([UNKNOWN, UNKNOWN, UNKNOWN, 0], dtype=np.int64)
@@ -100,7 +101,7 @@ class ProgramWriter:
         )
 
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
-        """Write the way up, what the start switched on off again, spindle off, end."""
+        """Write the way up, switch off everything that the start switched on, spindle off, end."""
         setup = setup or ProgramSetup()
         return self._write_templates(
             (self._way_up(setup), *_off(setup), *self.post.end), self._heights(setup, safe_z_mm)
@@ -125,7 +126,7 @@ class ProgramWriter:
         return number(value, self.post.least_decimals)
 
     def _write_templates(self, templates: tuple[str, ...], values: dict[str, object]) -> bytes:
-        self._motion, self._feed = None, None  # what the templates leave is not tracked
+        self._motion, self._feed = None, None  # the modes after the templates are not tracked
         self._state[:3] = UNKNOWN
         return b"".join(self.post.block(t.format(**values)) for t in templates)
 
@@ -145,7 +146,7 @@ class ProgramWriter:
                 yield text
 
     def _go_over(self, path: Path) -> bytes:
-        """Write the way across to where a path begins, at the height of the raised head."""
+        """Write the move across to the start of a path, at the height of the raised head."""
         self._raised, self._motion = False, self.post.rapid
         over_mm = path.points_mm[:1]
         self._state[2] = math.floor(over_mm[0, 2] * 10**self.post.z_decimals + 0.5)  # as if reached: no Z is written
@@ -176,7 +177,7 @@ class ProgramWriter:
 
 
 def _describe_beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
-    """Return in words where the tool may stand when the program begins."""
+    """Describe where the tool may be when the program begins."""
     if setup.top_z_mm is None:
         return f"start: with the tool over the block, or not above Z{safe_z_mm:g}, where it goes first"
     return f"start: homed, from anywhere: up to machine Z{setup.top_z_mm:g}, across, down; ends up there"
@@ -198,11 +199,11 @@ def _bytes(text: str) -> np.ndarray:
 
 
 class RmlWriter:
-    """Paths to commands; the speed only where it changes."""
+    """Turns paths into commands; writes the speed only when it changes."""
 
     def __init__(self, post: RmlPost) -> None:
         self._post = post
-        self._raised = False  # the head stands at its top: the tool must get over its place before it comes down
+        self._raised = False  # the head is at its top: the tool must move over its place before it comes down
         self._speed: str | None = None
         self._place = np.full(3, UNKNOWN, dtype=np.int64)
         self._line_end = np.frombuffer(f";{post.line_end}".encode("ascii"), dtype=np.uint8)
@@ -258,14 +259,14 @@ class RmlWriter:
                 yield head + self._buffer[:size].tobytes()
 
     def _go_over(self, path: Path) -> bytes:
-        """Write the way across to where a path begins, along the top. Every move states X, Y and Z."""
+        """Write the move across to the start of a path, along the top. Every move states X, Y and Z."""
         self._raised = False
         x, y = (math.floor(value / self._post.unit_mm + 0.5) for value in path.points_mm[0, :2])
         return self._lines(f"Z{x},{y},{_TOP_UNITS};")
 
 
 def _waits(dwell_s: float) -> list[str]:
-    """Return commands that stand still for a time, none of them longer than the language can say."""
+    """Return commands that wait for a time, none of them longer than the language allows."""
     whole, rest = divmod(round(1000 * dwell_s), _LONGEST_WAIT_MS)
     return [f"W{milliseconds};" for milliseconds in [_LONGEST_WAIT_MS] * whole + [rest] * (rest > 0)]
 

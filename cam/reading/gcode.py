@@ -1,7 +1,7 @@
-"""G-code text back to moves, in a stream: the reader that does not trust the writer of the program.
+"""Reads G-code text back to moves, as a stream. It does not trust the writer of the program.
 
-Of each control's language the subset is read that a finishing program needs: straight moves, dwell, spindle, comments.
-Everything else is refused with its line, because a word that is skipped here and obeyed by the mill is a broken cutter.
+It reads the subset of each control's language that a finishing program needs: straight moves, dwell, spindle, comments.
+Everything else is refused with its line, because a word that is skipped here but obeyed by the mill breaks a cutter.
 One compiled pass over the bytes keeps the whole modal state; a chunk boundary may fall anywhere.
 """
 
@@ -44,8 +44,8 @@ class MoveBatch:
     lines_read, bytes_read   : of the program, up to the end of this batch
     ended                    : M2 or M30 has been read
 
-    The approach, up to the line on which all three coordinates have been given, is not a move: nobody knows where it
-    starts. What it dwells is the pause of the first entry, at its end.
+    The approach, up to the line on which all three coordinates have been given, is not a move, because its start is not
+    known. Its dwell is the pause of the first entry, at its end.
     """
 
     points_mm: Array
@@ -74,8 +74,8 @@ def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> I
     """Yield moves of a pass that is written as several programs, run one after the other, each given in pieces of its
     text.
 
-    Each begins with nothing known but where the one before has left the tool, in its work offset; lines and bytes are
-    counted through.
+    At the start of each, only the tool's position after the one before is known, in its work offset; lines and bytes
+    are counted through.
     """
     state = np.zeros(gcode_parse.LINE + 1)
     state[:3] = np.nan
@@ -141,7 +141,7 @@ def _read_batch(
     feed, pause, line = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
     used, n, code, bad = parse(raw, state, rules, gcode_parse.POWERS, points, rapid, feed, line, spindle, pause)
     end = buffer.find(b"\n", start + bad)
-    if code and end >= 0:  # without its line end the line is judged when the rest of it has come
+    if code and end >= 0:  # a line without its end is judged when the rest of it has come
         raise ProgramError(int(state[gcode_parse.LINE]) + 1, buffer[start + bad : end], REFUSALS[code])
     batch = MoveBatch(
         points_mm=points[: n + 1],

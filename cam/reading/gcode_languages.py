@@ -1,5 +1,5 @@
-"""What each control reads, as its manual has it: known here apart from what our posts write, so that neither trusts the
-other; and why a line of a program is refused, in one sentence each.
+"""The language that each control reads, according to its manual. It is stated here independently of the posts, so that
+neither relies on the other. Also the sentences for lines that are refused.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ REFUSALS = {
 
 
 class ProgramError(CamError):
-    """A line that may not run. Attributes: line (from 1), text, reason."""
+    """A program line that is not allowed. Attributes: line (from 1), text, reason."""
 
     def __init__(self, line: int, text: bytes, reason: Phrase) -> None:
         shown = text.strip(b"\r\n").decode("ascii", "backslashreplace")
@@ -148,7 +148,7 @@ class Language:
     digit_mm: float = 1e-5
 
     def rules(self) -> np.ndarray:
-        """Return the rules as the compiled reader takes them: (RULES,) int64."""
+        """Return the rules in the form of the compiled reader: (RULES,) int64."""
         rules = np.zeros(RULES, dtype=np.int64)
         rules[TAPE], rules[DWELL], rules[TWO_DIGITS] = self.tape, self.dwell, self.two_digits
         rules[POINTED], rules[DECIMALS] = _bits(self.pointed), self.most_decimals

@@ -1,10 +1,10 @@
 """The compiled reader of RML-1: commands to moves, in the form and with the modal state of the G-code reader.
 
 The subset a finishing program needs: ^DF, ^PA, !MC, !RC, V, W, absolute Z with three whole numbers, and ^PR;Z0,0,n;
-which lifts the tool to the top of the mill. That lift is no move here: where the top is nobody knows, and what comes
-after it starts higher than it seems, which is the safe side. A move to a height that no mill has, which is a way across
-along its top, changes X and Y alone. At V50, the fastest there is, a move counts as a rapid.
-^DF with the spindle off after the last move ends the program.
+which lifts the tool to the top of the mill. That lift is not a move here, because the height of the top is not known.
+The next move therefore starts higher than it seems, which is the safe side. A move to a height above every mill's
+travel runs along its top and changes only X and Y. At V50, the fastest there is, a move counts as a rapid. ^DF with the
+spindle off after the last move ends the program.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _DEFAULTS, _ABSOLUTE, _RELATIVE, _MOTOR, _RPM, _SPEED, _WAIT, _MOVE = range(1, 9
 
 @njit(cache=True, nogil=True)
 def _command(raw, p, size):  # type: ignore[no-untyped-def]
-    """Return (what command begins at p, place after its name); 0 where none does."""
+    """Return (the command that begins at p, place after its name); 0 if none does."""
     c = raw[p]
     if c == 86:  # V
         return _SPEED, p + 1
@@ -179,7 +179,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                     state[d] = target
                 state[MOTION] = 0.0
                 if np.isnan(state[Z]):
-                    pass  # over its place, at a height that nobody knows
+                    pass  # above its place, at an unknown height
                 elif not known:
                     for d in range(3):
                         points[n, d] = state[d]

@@ -135,7 +135,7 @@ def make_helix(polyline_mm: Array, start_mm: float, spec: PassSpec, pocket: Pock
     floor.
 
     Of the circles beside the path the one whose floor rises least is taken, so that the tool stays in the pocket and
-    does not climb its walls; None where none lies within the region. Where the floor is higher the tool follows it.
+    does not climb its walls; None if none lies within the region. Where the floor is higher the tool follows it.
     """
     best: Array | None = None
     for share in _RINGS:

@@ -1,4 +1,4 @@
-"""Layers: where more stock stands above the target than one move may take, it comes off in steps.
+"""Layers: stock above the target that is too much for one move is taken off in steps.
 
 On a flat block the layers are planes one step-down apart, and each follows the target where that is higher. On stock
 that has a shape already they run parallel to the target, only where something stands above them, and the exact rows
@@ -30,26 +30,26 @@ from cam.surface.tool_surface import Surface
 from phrases.phrase import Phrase
 
 SKIM_MM = 0.05
-"""What layers keep back for the exact rows when a finishing pass meets an uncut block."""
+"""Stock that layers leave for the exact rows when a finishing pass meets an uncut block."""
 
 CUSP_MM = 0.05
-"""More than the layers' tolerance and cusps of a ball can leave above their tips."""
+"""More than the layers' tolerance and cusps can leave above a ball's tips."""
 
 TOUCH_MM = 1e-6
-"""Stock less than this above a tip is not worth a cut."""
+"""Less stock than this above a tip is not cut."""
 
 LAYER_CUSP_SHARE, PLANE_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.03, 0.01
 """Of the step-down: a layer's cusps, those of planes, and its chords. Those of two layers may add up, and the check
 allows 5 % for them, and the cusps of the pass's own pitch besides."""
 
 STAIR_SHARE = 0.8
-"""Of the step-down: stairs at most, which the rows between those of the layers take off at once."""
+"""Share of the step-down: the highest stairs, which the rows between those of the layers take off at once."""
 
 _AT_ONCE = 64
-"""Runs that are made together: an array for each of all their samples is little."""
+"""Runs that are made together: one array each for all their samples needs little memory."""
 
 _HERE_AND_THERE = 0.1
-"""Of all samples: where more of them have too much stock above them, walls are not what layers are for."""
+"""Share of all samples: if more of them have too much stock above them, the reason is not a wall."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ class Field:
 
     @classmethod
     def along(cls, rows: Rows, surface: Surface, stock: StockTouch) -> Field:
-        """Sample as finely as the lens and at least eight times per radius, over all that turns may touch.
+        """Sample as finely as the lens and at least eight times per radius, over everything that turns may touch.
 
         So a later turn, of another layer or of the exact rows, meets no stock that the layer above did not clear.
         """
@@ -94,8 +94,8 @@ class Field:
         return float(self.x_mm[1] - self.x_mm[0])
 
     def refine(self, stock: StockTouch, most_mm: float) -> Field:
-        """Compute exact heights where more than most_mm of stock seems to stand, if that is here and there only:
-        beside walls that another ball has left.
+        """Compute exact heights where there seems to be more than most_mm of stock, if there are only a few such
+        places: beside walls that another ball has left.
         """
         rows, columns = np.nonzero(self.stock_mm - self.target_mm > most_mm)
         if stock.flat or not 0 < rows.size <= _HERE_AND_THERE * self.stock_mm.size:
@@ -162,15 +162,15 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
 
 
 def plane_row_distance_mm(spec: PassSpec) -> float:
-    """Return how far apart rows of planes may lie at most: what they leave is for rows between them to take off."""
+    """Return the greatest distance of rows of planes; the rows between them take off what these leave."""
     shape, radius_mm = spec.shape, spec.radius_mm
     cusped_mm = sqrt(8 * shape.corner_mm(radius_mm) * PLANE_CUSP_SHARE * spec.step_down_mm)
     return min(FLAT_STEP * radius_mm, 2 * shape.flat_mm(radius_mm) + cusped_mm)
 
 
 def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, float]:
-    """Return the widest stride of rows between which a flat cutter leaves no higher stairs on a slope, and their
-    height; PassValueError where every row is too far from the next.
+    """Return the widest stride of rows at which a flat cutter's stairs on a slope are within the limit, and their
+    height; PassValueError if even single rows are too far apart.
     """
     target = field.target_mm
     for stride in range(max(1, min(most, len(target) - 1)), 0, -1):
@@ -184,7 +184,7 @@ def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, fl
 
 
 def layer_row_distance_mm(spec: PassSpec) -> float:
-    """Return how far apart rows of layers may lie that exact rows of the pass's own pitch follow: cusps of p^2 / 8R."""
+    """Return the greatest row distance of layers that exact rows of the pass's own pitch follow: cusps of p^2 / 8R."""
     return min(spec.radius_mm / 5, sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm))
 
 
@@ -208,7 +208,7 @@ class Run:
 
 
 def _as_arrays(before: Iterable[Run], runs: Iterable[Run]) -> Runs:
-    """Return runs, each after the one before it."""
+    """Return the runs as arrays, in order."""
     ways = [
         (run.row, run.first, run.last, 1 if run.upward else -1, last.end if run.joined else -1)
         for last, run in zip(before, runs, strict=False)
@@ -310,9 +310,10 @@ def layer_paths(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Work:
-    """A layer while it is cut: its tips, and those at which the cutter would meet stock now (n rows, n samples).
+    """A layer while it is cut: its tips, and the tips at which the cutter would meet the present stock (n rows, n
+    samples).
 
-    pad : samples beside what stands that are cut as well
+    pad : samples beside the stock that are cut as well
     """
 
     field: Field
@@ -353,7 +354,7 @@ class _Work:
         )
         feeds = choose_feeds(bite, along, runs, spec, step_mm=field.step_mm)
         first, last = np.repeat(runs.first, counts), np.repeat(runs.last, counts)
-        if self.stair_mm > 0:  # beside its ends stands what the way from row to row has left
+        if self.stair_mm > 0:  # beside its ends there is stock that the links between rows have left
             near_end = np.minimum(samples - first, last - samples) < ceil(self.surface.radius_mm / field.step_mm)
             feeds[near_end] = np.minimum(feeds[near_end], SLOT_FEED * spec.feed_mm_per_min)
         points = np.column_stack([field.x_mm[samples], field.rows.y_mm[rows], along])
@@ -383,15 +384,13 @@ class _Work:
         stairs = np.full(x.size, self.stair_mm)
         stairs[ends - counts - 1] = stairs[ends - 1] = 0.0
         each = zip(np.split(x, ends[:-1]), np.split(y, ends[:-1]), strict=True)
-        lowest = np.concatenate([self.surface.tip_heights_mm(*one) for one in each])  # from its own neighbours alone
+        lowest = np.concatenate([self.surface.tip_heights_mm(*one) for one in each])  # only from its own neighbours
         found = np.split(np.column_stack([x, y, self.layer.tips_mm(lowest + stairs)]), ends[:-1])
         return [thin_points(one, self.sag_mm, along=1) if np.ptp(one[:, 0]) == 0 else one for one in found]
 
 
 def _sag_mm(surface: Surface, layer: Layer, spec: PassSpec) -> float:
-    """Return how far a layer's chords may be off: a little of what it leaves, and of what the next one may then
-    meet.
-    """
+    """Return the tolerance of a layer's chords: a small share of what it leaves and of what the next one may meet."""
     return min(rough_sag_mm(surface.allowance_mm + layer.offset_mm), LAYER_SAG_SHARE * spec.step_down_mm)
 
 
@@ -405,13 +404,13 @@ def _pocket(field: Field, surface: Surface, layer: Layer) -> Pocket:
 
 
 def _stock_and_tips(field: Field, layer: Layer, above: Layer | None) -> tuple[Array, Array]:
-    """Return tips at which the ball meets what the layer above has left, and the layer's own tips."""
+    """Return the tips at which the ball meets the stock that the layer above has left, and the layer's own tips."""
     left = field.stock_mm if above is None else np.minimum(field.stock_mm, above.tips_mm(field.target_mm))
     return left, layer.tips_mm(field.target_mm)
 
 
 def _stands_above(left: Array, tips: Array, stock: StockTouch, above: Layer | None) -> npt.NDArray[np.bool_]:
-    """Return (n rows, n samples): whether there is anything to cut."""
+    """Return (n rows, n samples) whether there is anything to cut."""
     return np.asarray(left + (stock.slack_mm if above is None else 0.0) > tips + TOUCH_MM)
 
 
@@ -424,8 +423,8 @@ def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def _leave_out_idle(runs: Iterable[Run], standing: npt.NDArray[np.bool_]) -> list[Run]:
-    """Return the runs without chains that lie beside stock alone: the tool would enter and cut nothing. So it is under
-    planes; of stock that has a shape what stands between two rows is known less well.
+    """Return the runs without chains that cut nothing because they only lie beside stock. This holds under planes; for
+    stock that has a shape, the stock between two rows is less well known.
     """
     chains: list[list[Run]] = []
     for run in runs:
@@ -448,7 +447,7 @@ def _end_walls(
     safe_z_mm: float,
 ) -> Iterator[Path]:
     """Yield the ways along the walls at which the rows end, where stock stood above the layer: both sides, front to
-    back. None where turns (n, 3) of the layer's own rows went along all of that already.
+    back. None if turns (n, 3) of the layer's own rows went along all of that already.
 
     Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
     a later layer, or a later pass, would take flakes of several layers off at once.
@@ -476,7 +475,7 @@ def _end_walls(
 
 
 def _went_along(turns: list[Array], x_mm: float, y_mm: Array) -> npt.NDArray[np.bool_]:
-    """Return (n,) which places y_mm of a wall at x_mm lie on a turn (m, 3) that goes straight along it."""
+    """Return (n,) whether the places y_mm of a wall at x_mm lie on a turn (m, 3) that runs straight along it."""
     passed = np.zeros(y_mm.size, dtype=np.bool_)
     for turn in turns:
         if (turn[:, 0] == x_mm).all():
@@ -485,5 +484,5 @@ def _went_along(turns: list[Array], x_mm: float, y_mm: Array) -> npt.NDArray[np.
 
 
 def _between(y_mm: Array, step_mm: float) -> Array:
-    """Return positions of the rows and, no farther apart than step_mm, between them."""
+    """Return the positions of the rows, and of points between them no farther apart than step_mm."""
     return np.asarray(on_ticks(np.linspace(y_mm[0], y_mm[-1], ceil((y_mm[-1] - y_mm[0]) / step_mm) + 1)))

@@ -1,14 +1,14 @@
-"""Feeds by load: the rows of layers take off about as much stock a minute at every place; turns are slots.
+"""Adjusts feeds to the load: the rows of layers remove about the same volume per minute everywhere; turns are slots.
 
-What a move takes off is measured across its row. There the stock of the moment is the lower envelope of balls standing
+The removal of a move is measured across its row. There the stock of the moment is the lower envelope of balls standing
 at the tips of the rows about it: as deep as their last cut where they have been cut, as the layer above left them where
-they have not. Between it and the ball lies the section of the cut; section times feed is stock a minute. A feed holds
-for a stretch as long as the ball's radius at least, is the least that its places and those near beside them allow, and
-is rounded down to one of a few.
+they have not. The section of the cut is the area between it and the ball; section times feed is the volume per minute.
+A feed is used for at least one ball radius; it is the least that its places and the nearby ones allow, and is rounded
+down to one of a few values.
 
 Exact rows cut at the ball's full width in their turns: between two rows the tool goes a pitch on into stock that no row
-has touched yet, the next row's on the one side, what stands at the wall of the run-out on the other. That is a slot as
-short as the pitch, but every row ends in one.
+has touched yet, the next row's on the one side, what stands at the wall of the run-out on the other. Such a slot is
+only as long as the pitch, but every row ends in one.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ as a row's narrow bite thins them to a half."""
 SLOT_SIDES, SLOT_DEPTH_SHARE = 0.4, 0.3
 """Of a slot's section, on both sides alike, and of the step-down: from there on a cut counts as a slot."""
 
-_STEP = 1.1  # from one feed to the next
-_BESIDE = 0.7  # radii on which a feed holds before and after: walls aslant to a row begin earlier than across it
+_STEP = 1.1  # ratio of neighbouring feeds
+_BESIDE = 0.7  # in radii: how long a feed is kept before and after, because oblique walls begin earlier
 _WHOLE_FROM = 10.0  # mm/min
 _POINTS = 24  # across the ball
 _LEFT, _RIGHT, _DEEP = range(3)
@@ -52,12 +52,12 @@ Meets = Callable[[Array], Array]
 
 
 def feed_at_load(section_mm2: ArrayLike, spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
-    """Return the feed at which cuts take off as much a minute as the pass may. steep: slope of the way."""
+    """Return the feed for the pass's allowed removal rate. steep: slope of the path."""
     wanted = np.maximum(_removal_mm3_per_min(spec) / np.maximum(section_mm2, 1e-9), LEAST_FEED * spec.feed_mm_per_min)
     return round_feed(np.minimum(wanted, most_feed_mm_per_min(spec, steep)))
 
 
-@lru_cache(maxsize=64)  # asked at every link
+@lru_cache(maxsize=64)  # called for every link
 def _removal_mm3_per_min(spec: PassSpec) -> float:
     section_mm2 = slot_section_mm2(spec.shape, spec.radius_mm, spec.step_down_mm)
     return LOAD_SHARE * float(section_mm2) * spec.feed_mm_per_min
@@ -70,7 +70,7 @@ def round_feed(feed_mm_per_min: ArrayLike) -> Array:
 
 
 def most_feed_mm_per_min(spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
-    """Return the feed where next to nothing is cut, within what the axes can go; steep: slope of the way."""
+    """Return the feed where almost nothing is cut, within the rates of the axes; steep: slope of the path."""
     x, y, z = spec.max_rate_mm_per_min
     climbing = z * np.hypot(1.0, steep) / np.maximum(steep, 1e-9)
     return round_feed(np.minimum(climbing, min(MOST_FEED * spec.feed_mm_per_min, x, y)))
@@ -110,7 +110,7 @@ class Runs(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _measure(now, tips, y, runs, beside, radius, corner, top, bite, depth):  # type: ignore[no-untyped-def]
-    """Measure what runs take off: bite (n, 3) left, right, deepest at each sample; depth (m,): what stands at most
+    """Measure the removal of runs: bite (n, 3) left, right, deepest at each sample; depth (m,): what stands at most
     within `beside` samples of the way from the row before.
 
     now (n rows, n samples) : tips at which the cutter would meet stock; each run lowers it to tips
@@ -179,7 +179,7 @@ def measure_cuts(
 
 
 def _add_descent(bite: Array, climbs: Array, spec: PassSpec) -> None:
-    """Add what a flat end takes off with its whole face where it goes down, on either side of its way [mm2].
+    """Add the removal by the whole face of a flat end on a descent, on either side of its path [mm2].
 
     climbs (n,) : slope of the way
     """
@@ -206,7 +206,7 @@ def choose_feeds(bite: Array, tips_mm: Array, runs: Runs, spec: PassSpec, *, ste
     feed = round_feed(most * _STEP ** -np.ceil(np.log(most / feed) / log(_STEP) - 1e-9))
     stretch = ceil(spec.radius_mm / step_mm) | 1
     around = stretch + 2 * ceil(_BESIDE * stretch)
-    apart = np.arange(feed.size) + around * np.repeat(np.arange(counts.size), counts)  # no run sees the next
+    apart = np.arange(feed.size) + around * np.repeat(np.arange(counts.size), counts)  # no run affects the next
     feeds = np.full(apart[-1] + 1, inf)
     feeds[apart] = feed
     least = minimum_filter1d(feeds, around)
@@ -216,8 +216,8 @@ def choose_feeds(bite: Array, tips_mm: Array, runs: Runs, spec: PassSpec, *, ste
 
 
 def choose_link_feeds(depth_mm: Array, spec: PassSpec) -> Array:
-    """Return (m,) feeds of ways from one run to the next, where a wall may stand beside a slot as deep as the stock
-    about it (m,).
+    """Return (m,) feeds of links between runs, where there may be a wall beside a slot as deep as the surrounding stock
+    (m,).
     """
     section = slot_section_mm2(spec.shape, spec.radius_mm, depth_mm) / 2 + depth_mm * spec.radius_mm
     return np.minimum(feed_at_load(section, spec), SLOT_FEED * spec.feed_mm_per_min)

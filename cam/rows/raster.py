@@ -1,5 +1,5 @@
-"""Rows along X: where they lie, and the exact surface along them. For rows along Y, X and Y are exchanged: of the lens,
-the block and the stock before, and of the paths after.
+"""Rows along X: their positions, and the exact surface along them. For rows along Y, X and Y are exchanged, first of
+the lens, the block and the stock, and afterwards of the paths.
 
 Exchanging axes is exact (no rotation, no rounding), so what holds for rows along X holds for rows along Y. It turns
 left into right as well: climb milling is decided by `PassSpec.direction`.
@@ -61,7 +61,7 @@ class Rows:
         return self.right_mm - self.left_mm
 
     def stride_within(self, distance_mm: float) -> int:
-        """Return of how many rows one is enough for rows no farther apart than distance_mm."""
+        """Return the largest stride of rows that are no farther apart than distance_mm."""
         return max(1, int(distance_mm / max(1e-9, float(np.diff(self.y_mm).max()))))
 
     def every(self, stride: int) -> Rows:
@@ -85,13 +85,14 @@ def on_ticks(values: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def turn_parts(bulge):  # type: ignore[no-untyped-def]
-    """Return of how many chords a turn is that goes out so far [mm]."""
+    """Return the number of chords of a turn that goes out this far [mm]."""
     return 4 if bulge < 0.05 else 8
 
 
 @njit(cache=True, nogil=True)
 def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore[no-untyped-def]
-    """Write the first `rows` rows of y and the turn after each into out; a row after them in y is only turned to.
+    """Write the first `rows` rows of y and the turn after each into out; for a row after them in y, only the turn to it
+    is written.
 
     A turn is a half circle over (y0, y1), on the surface, in `parts` chords; its points lie on the writing raster.
     """
@@ -127,7 +128,7 @@ def _chunk(surface: ToolSurface, rows: Rows, rule: VertexRule, first: int) -> Ar
 
 
 def continuous_rows(surface: ToolSurface, rows: Rows, rule: VertexRule) -> Iterator[Array]:
-    """Yield all rows there and back on one unbroken path, as pieces (n, 3) in order; a few are in work at a time."""
+    """Yield all rows back and forth on one unbroken path, as pieces (n, 3) in order; a few are computed at a time."""
     starts = range(0, rows.y_mm.size, ROWS_PER_CHUNK)
     yield from map_in_order(lambda first: _chunk(surface, rows, rule, first), starts)
 
@@ -142,7 +143,7 @@ def climbs_rightward(spec: PassSpec) -> bool:
 
 
 def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightward: bool) -> Iterator[Array]:
-    """Yield every row by itself, all the same way (paper, Fig. 13)."""
+    """Yield every row separately, all in the same direction (paper, Fig. 13)."""
     start, end = (rows.left_mm, rows.right_mm) if rightward else (rows.right_mm, rows.left_mm)
 
     def row(index: int) -> Array:
@@ -153,7 +154,7 @@ def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightwa
 
 
 def sampled_rows(surface: RoughSurface, rows: Rows, sag_mm: float) -> Iterator[Array]:
-    """Yield all rows of a flat cutter there and back on one unbroken path, row by row, each with the turn after it."""
+    """Yield all rows of a flat cutter back and forth on one unbroken path, row by row, each with the turn after it."""
     x = on_ticks(np.linspace(rows.left_mm, rows.right_mm, math.ceil(rows.length_mm / surface.node_step_mm) + 1))
     angle = np.pi * np.arange(1, turn_parts(rows.turn_mm)) / turn_parts(rows.turn_mm)
     for j, y in enumerate(rows.y_mm):

@@ -1,10 +1,10 @@
 """Rest passes: a small ball only where the one before it, too big for a hollow, has left stock.
 
-Where the stock stands higher than regular cusps explain is the core. Tips go over the core grown by the ball's reach,
-on the exact surface, and over a band around it, in which they rise off the surface ever faster until the ball touches
-nothing any more: the small ball's surface runs out into the big one's without a step, though its cusps are lower and
-its length is known to a few micrometres only. Rows run through each region there and back, with one entry; across
-gaps between the rows of a region the ball goes just above all stock.
+Where the stock stands higher than regular cusps explain is the core. Tips cover the core grown by the ball's reach, on
+the exact surface, and a band around it, in which they rise off the surface ever faster until the ball touches nothing:
+the small ball's surface runs out into the big one's without a step, though its cusps are lower and its length is known
+to a few micrometres only. Rows run back and forth through each region, with one entry; the ball crosses gaps between
+the rows of a region just above all stock.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from optics.heightfield import Heightfield
 Mask = npt.NDArray[np.bool_]
 
 LEAST_MM = 0.001
-"""Above the cusps of the pass before and above its own, where they are higher: so little is left alone."""
+"""Height above the cusps of the pass before, or above its own if they are higher: less stock than this is ignored."""
 
 CUSPS = 6.0
 """Regular cusps end at four times their median; half as much again on slopes and in hollows."""
 
 BLEND_MM, BLEND_LIFT_MM = 1.0, 0.002
-"""Width of the band, or two radii of a larger ball; and how far beyond all cusps the tips have risen at its end."""
+"""Width of the band, or two radii of a larger ball; and the height of the tips above all cusps at its end."""
 
 HOP_MM = 0.01
-"""Above all stock, from one end of a row to the start of another."""
+"""Clearance above all stock from the end of one row to the start of another."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class RestAreas:
     """Where a rest pass cuts, cell by cell of the stock it meets.
 
     core (ny, nx)       : stock stands too high there
-    beyond_mm (ny, nx)  : how far a tip is from where it must follow the surface; 0 or less: it must
+    beyond_mm (ny, nx)  : distance of a tip from the area in which it must follow the surface; 0 or less: inside
     blend_mm, lift_mm   : tips are lift_mm (d / blend_mm)^2 above it at the distance d, up to blend_mm
     """
 
@@ -76,7 +76,7 @@ class RestAreas:
 
     @property
     def area_mm2(self) -> float:
-        """Where tips go, the band included."""
+        """Area of the tips, including the band."""
         return float((self.beyond_mm <= self.blend_mm).sum()) * self.grid.cell_mm**2
 
     @property
@@ -100,7 +100,7 @@ class RestAreas:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ground:
-    """What the rows of a rest pass need."""
+    """Inputs for the rows of a rest pass."""
 
     areas: RestAreas
     surface: ToolSurface
@@ -128,7 +128,7 @@ class _Ground:
         return self.lift_over(np.column_stack([x, y, self.surface.tip_heights_mm(x, y)]))
 
     def hop(self, start: Array, end: Array) -> Array:
-        """Return the way straight across, above all that stands there."""
+        """Return the straight path across, above all stock there."""
         share = np.linspace(0.0, 1.0, self._parts(start, end))[1:-1]
         x, y = (on_ticks(start[a] + share * (end[a] - start[a])) for a in (0, 1))
         stock = self.met.under(np.column_stack([x, y])) + self.met.slack_mm
@@ -152,9 +152,9 @@ def rest_paths(
     safe_z_mm: float,
     on_progress: Callable[[float], None],
 ) -> Iterator[Path]:
-    """Yield region after region, each entered once, from and to safe height. Nothing where nothing is left.
+    """Yield the regions one after the other, each entered once, from and to safe height; nothing if no stock is left.
 
-    most_mm : how far above the surface stock can stand by now, layers having come before
+    most_mm : the most stock above the surface now, after the layers
     """
     count = max(2, ceil(rows.length_mm / surface.kernel.node_step) + 1)
     x_mm = on_ticks(np.linspace(rows.left_mm, rows.right_mm, count))
@@ -172,7 +172,7 @@ def rest_paths(
 def _region(
     ground: _Ground, inside: Mask, first_row: int, first_sample: int, spec: PassSpec, most_mm: float, safe_z_mm: float
 ) -> Iterator[Path]:
-    """Yield one region: its rows there and back, or all the way that climbs, with hops between those that do not
+    """Yield one region: its rows back and forth, or all in the climbing direction, with hops between those that do not
     join.
     """
     linked = spec.link == "u-turn"

@@ -1,14 +1,14 @@
-"""Positions on the raster that a control can state, or a mill can reach, so that the light suffers least.
+"""Rounds positions to the raster that a control can state, or a mill can reach, so that the light suffers least.
 
 A vertex rounded to the nearest digit q is off by up to q / 2, and two of them s apart make a slope error of
-q / (sqrt 6 s) rms along the line and of q / (sqrt 6 p) between lines p apart: with three decimals tens of milliradians.
-But a vertex may be anywhere on its line. Where the path rises through a whole digit, a vertex on that spot needs no
-rounding, and what is left is the slope times the digit of X: a tenth or a hundredth. So each vertex has up to four
-places: on the nearest such crossing before and after, and on its own spot one digit down or up; or it is left out. The
-best choice for a whole line is found by going through it once, as in Viterbi's algorithm: the error of the slope along
-the line, squared, plus that of the height over the pitch, which is the slope to the neighbouring lines, integrated
-along the way. Nowhere is the tool lower than half a digit under its path, nor higher than one over it. Memory does not
-grow with the path.
+q / (sqrt 6 s) rms along the line and of q / (sqrt 6 p) between lines p apart: with three decimals, tens of
+milliradians. But a vertex may be anywhere on its line. Where the path crosses a whole digit, a vertex needs no
+rounding, and the remaining error is the slope times the digit of X: a tenth or a hundredth of that. So each vertex has
+up to four places: on the nearest such crossing before and after, and on its own spot one digit down or up; or it is
+left out. The best choice for a whole line is found in one pass, as in Viterbi's algorithm. It minimises the squared
+error of the slope along the line, plus that of the height over the pitch, which is the slope to the neighbouring lines,
+integrated along the line. The tool is never more than half a digit below its path, nor more than one digit above it.
+Memory does not grow with the path.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from cam.moves import Array, Motion, Path
 from cam.posts.post import Digits
 
 COARSE_MM = 0.5e-4
-"""Below this a digit of Z is too small to be seen in the light."""
+"""A digit of Z below this is not visible in the light."""
 
 Place = Callable[[Array, Array], Array]
-"""(n, 3) a line, (3,) where its first point stands already -> (m, 3) vertices on the raster after that one."""
+"""(n, 3) a line, (3,) the present place of its first point -> (m, 3) vertices on the raster after that point."""
 
-_LONGEST_MM = 1.0  # of a straight move that takes the place of several
+_LONGEST_MM = 1.0  # longest straight move that replaces several
 LOWEST_DIGITS = 0.5
-"""Nowhere is the tool farther under its path than this."""
+"""The tool is never farther below its path than this."""
 
-_LOOK_BACK = 6  # vertices that one move may take the place of
+_LOOK_BACK = 6  # most vertices that one move may replace
 _ASIDE_PITCHES, _ASIDE_MM = 0.02, 1e-3
 _AT_ONCE = 8192
 _CHOICES = 4
@@ -42,7 +42,7 @@ _CHOICES = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rounding:
-    """digits, and how lines lie: pitch_mm apart."""
+    """digits, and the pitch_mm of the lines."""
 
     digits: Digits
     pitch_mm: float = math.inf
@@ -53,14 +53,14 @@ class Rounding:
 
     @property
     def aside_mm(self) -> float:
-        """How far from its track a move may pass by the vertices that it leaves out."""
+        """How far from its track a move may pass the vertices that it leaves out."""
         return min(_ASIDE_PITCHES * self.pitch_mm, _ASIDE_MM)
 
 
 def on_raster(paths: Iterable[Path], rounding: Rounding, place: Place | None = None) -> Iterator[Path]:
     """Yield the same cuts with every vertex on the raster; rapids go through the nearest places.
 
-    place : how the vertices of a cut are chosen; as slopes suffer least, unless given
+    place : how the vertices of a cut are chosen; by default for the least slope errors
     """
     place = place or partial(_place_by_slope, rounding)
     raw = placed = np.full(3, np.nan)
@@ -84,7 +84,7 @@ def nearest(points_mm: Array, digits: Digits) -> Array:
 
 
 def is_level_way(line: Array) -> bool:
-    """Return whether every move of a line goes on in plan: straight down or up there is nothing to choose."""
+    """Return whether every move of a line advances in plan: for a vertical move there is no choice."""
     return bool((np.hypot(*np.diff(line[:, :2], axis=0).T) > 0).all())
 
 
@@ -139,7 +139,7 @@ def choose_vertices(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out):  #
     count = 1
     for i in range(1, n):
         before_x, before_y = line[i, 0] - line[i - 1, 0], line[i, 1] - line[i - 1, 1]
-        # Its own spot, one digit down and one up.
+        # Its own place, one digit down and one up.
         _offer(line, i - 1, 1.0, before_x, before_y, xy_mm, z_mm, run[i - 1], rise[i - 1], found, 0)
         piece, along, height = i - 1, found[0, 2], found[0, 3]
         if along > run[i - 1] and i < n - 1:
@@ -154,7 +154,7 @@ def choose_vertices(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out):  #
                 choice[count, 3], choice[count, 4] = way[piece] + along, height
                 choice[count, 5] = bent[piece] + slope * slope * along
                 count += 1
-        # Whole digits that the path goes through, in the nearer half of the piece before and of the piece after.
+        # Whole digits that the path crosses, in the nearer half of the piece before and of the piece after.
         for piece in range(i - 1, i + 1 if i < n - 1 else i - 1):
             dz = rise[piece]
             if dz == 0.0:

@@ -2,8 +2,9 @@
 
 Light sees slopes. Vertices s apart on curvature k make a chord that is off by k s / 2 in slope and k s^2 / 8 in height;
 at 0.5 mrad that is some nanometres, a thousand times finer than a usual tolerance. Both are bounded here, from the
-exact slope and curvature that the contact gives at every probe. Where the ball touches the run-out no light goes and a
-larger sag will do: it bends far more than the lens, and under the lens's rule a tenth of all vertices would lie there.
+exact slope and curvature that the contact gives at every probe. Where the ball touches the run-out there is no light,
+and a larger sag is enough: the run-out bends far more than the lens, and under the lens's rule a tenth of all vertices
+would lie there.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ TICKS_PER_MM = 10_000
 
 
 BESIDE_MM = 0.1
-"""This near the aperture the run-out is followed like the lens; beyond, a ball of R = 5 mm clears the rim by 1 µm."""
+"""Within this distance of the aperture the run-out is followed like the lens; beyond it, a ball of R = 5 mm clears the
+rim by 1 µm.
+"""
 
 RUN_OUT_SAG_MM = 0.5e-3
 _SAG_MM_PER_RAD = 0.024
@@ -31,7 +34,7 @@ SLOPE_ERROR_RAD = 0.5e-3
 
 
 class VertexRule(NamedTuple):
-    """Bounds of one chord: slope error, sag, length; and how far apart the surface is probed at most.
+    """Bounds of one chord: slope error, sag, length; and the greatest distance between probes of the surface.
 
     min_mm wins over slope and sag: a shorter chord would only show the last decimal of z.
     optical_from_mm, optical_to_mm : where slope_rad and sag_mm rule, in x of the contact; beyond, run_out_sag_mm alone
@@ -66,7 +69,7 @@ def finish_rule(
 
 
 def rough_sag_mm(leave_mm: float) -> float:
-    """Return the rule where stock is left: only the height counts, 5 % of what is left."""
+    """Return the rule for a pass that leaves stock: only the height counts, 5 % of the stock left."""
     return 0.05 * leave_mm
 
 
@@ -85,7 +88,7 @@ def rough_rule(leave_mm: float, probe_mm: float) -> VertexRule:
 
 
 def most_vertices(length_mm: float, rule: VertexRule) -> int:
-    """Return the room that one row may need."""
+    """Return the greatest number of vertices of one row."""
     return math.ceil(length_mm / rule.min_mm) + 2
 
 
@@ -122,7 +125,7 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
     px, py, z, s, k, dpx, dpy = touch(b, x, y, x, y)
     ax, az = x, z  # anchor
     low, high, bend = s, s, abs(k)
-    slope, sag = _bounds(rule, px)  # the tightest of all places this chord touches
+    slope, sag = _bounds(rule, px)  # the tightest bounds of all places that this chord touches
     has_candidate = False
     out[count, 0], out[count, 1], out[count, 2] = x, y, z
     count += 1
@@ -166,7 +169,7 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
         px, py, dpx, dpy = qx, qy, ndpx, ndpy
         if good:
             low, high, bend, slope, sag, has_candidate = n_low, n_high, n_bend, n_slope, n_sag, True
-        else:  # as short as a chord may be
+        else:  # the shortest chord allowed
             out[count, 0], out[count, 1], out[count, 2] = x, y, z
             count += 1
             ax, az, low, high, bend = x, z, s, s, abs(k)
@@ -217,7 +220,9 @@ def thin_points(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Arr
 
 @njit(cache=True, nogil=True)
 def _thin_pieces(x, z, edges, tolerance, keep, kept):  # type: ignore[no-untyped-def]
-    """Write which points of all pieces edges[n]..edges[n + 1] - 1 are kept, and before which of those each begins."""
+    """Write the indices of the points kept of all pieces edges[n]..edges[n + 1] - 1, and where each piece begins among
+    them.
+    """
     count = 0
     for n in range(edges.size - 1):
         kept[n] = count

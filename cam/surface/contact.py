@@ -1,11 +1,11 @@
-"""Where a ball rests on the spline: the kernels under `ToolSurface`.
+"""The kernels of `ToolSurface`: find where a ball rests on the spline.
 
 Theory. The ball's centre above (cx, cy) touches the surface at p where p + R N_xy(p) = c, N the unit normal pointing
 up; the centre stands at h(p) + R N_z. Newton solves this in one or two steps from a neighbour's p. Newton is local: if
 f(p) = h(p) + sqrt(R^2 - |p - c|^2) has more than one maximum inside the footprint the ball rests on the highest. f is
 concave, so has one maximum only, where the largest eigenvalue of the Hessian of h stays below 1/R all over the
 footprint (the ball's own is at least 1/R). Elsewhere ("guarded") Newton climbs f from every lattice node
-that could lie below the highest maximum, and the highest is taken. The lattice sees what slopes below about 1.5 do;
+that could lie below the highest maximum, and the highest is taken. The lattice resolves f for slopes below about 1.5;
 beyond that f is too peaked for it.
 
 With an allowance a the ball is R + a large and the centre is kept: exactly a is left along the normal.
@@ -22,7 +22,7 @@ from numba import njit
 from optics.heightfield import spline_jet
 
 CLOSE_MM = 2e-5
-"""Residual at which Newton stops: what it does to the height is of second order, below 1e-9 mm."""
+"""Residual at which Newton's method stops: its effect on the height is of second order, below 1e-9 mm."""
 
 
 TILE = 4
@@ -30,7 +30,7 @@ TILE = 4
 
 
 class Ball(NamedTuple):
-    """What the kernels need: spline, ball, lattice of heights, and where Newton alone may not be trusted."""
+    """The inputs of the kernels: spline, ball, lattice of heights, and where Newton's method alone is not reliable."""
 
     coefs: Any  # (ny + 2, nx + 2)
     x0: float

@@ -1,4 +1,4 @@
-"""StockGrid: what is left of the block, as heights at the centres of square cells."""
+"""StockGrid: the remaining stock, as heights at the centres of square cells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 class BlockSize(Protocol):
-    """What a grid must know of the stock; `cam.passes.Stock` is one."""
+    """The size of the stock for a grid; `cam.passes.Stock` is one."""
 
     @property
     def width_mm(self) -> float: ...
@@ -25,7 +25,7 @@ class BlockSize(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StockGrid:
-    """Height of the stock that is left, at cell CENTRES, in the work frame.
+    """Heights of the remaining stock at cell CENTRES, in the work frame.
 
     x0_mm, y0_mm : lower left CORNER of the grid, so cell (j, i) is centred on
                    (x0 + (i + 1/2) cell, y0 + (j + 1/2) cell)

@@ -1,4 +1,4 @@
-"""What a pass leaves, cell by cell, against the lens: gouge, excess, and the places the ball cannot reach."""
+"""Compares what a pass leaves with the lens, cell by cell: gouge, excess, and places that the ball cannot reach."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield, spline_jet
 
-_JUDGED = 20_000  # cells whose reach is worked out, at most
+_JUDGED = 20_000  # most cells whose reach is computed
 _NAMED = 8  # places out of reach that are named
-_TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
-_PHASES, _ALONG, _ALONG_SHARE = 8, 21, 0.3  # places across and along rows that are tried; how far along, in radii
+_TOUCH_MM = 0.002  # a ball may penetrate the surface elsewhere by this and still count as reaching a place
+_PHASES, _ALONG, _ALONG_SHARE = 8, 21, 0.3  # places tried across and along rows; length along, in radii
 _BESIDE_A_CREASE = 4.0
-"""Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
-be a whole pitch away instead of half of one; that a row is missing is for `cam.checking.path_quality` to say."""
+"""Cusps that are allowed beside an unreachable place. The ball changes flanks there, and the nearest row that touches
+may be a whole pitch away instead of half of one. `cam.checking.path_quality` finds missing rows.
+"""
 
 
 @njit(cache=True, nogil=True)
 def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, leave, pitch, radius, ball, out):  # type: ignore[no-untyped-def] # fmt: skip
-    """Compare. out: stock above the lens and what the pass leaves; stock above the lens; what the theory allows of the
+    """Compare. out: stock above the lens plus the stock to leave; stock above the lens; what the theory allows of the
     first.
 
     All along Z; NaN off the aperture.
@@ -49,17 +50,18 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
             bend = 0.5 * (hxx + hyy) + math.hypot(0.5 * (hxx - hyy), hxy)  # most hollow direction; an upper bound
             if bend < 0.0:
                 bend /= steep * q
-            if not ball:  # stairs from row to row, in a hollow besides what no flat end reaches
+            if not ball:  # stairs from row to row, and in a hollow also what no flat end reaches
                 cusp[j, i] = pitch * math.sqrt(steep - 1.0) + 0.25 * radius * radius * max(0.0, bend)
                 continue
             # Tips p apart in plan are up to p q apart on the slope; the ridge, p^2 / 8R, stands on the slope (q), and
-            # in a hollow the contacts spread to p / (1 - R k). Near 1 - R k = 0 the ball hardly fits: not a cusp.
+            # in a hollow the contacts spread to p / (1 - R k). Near 1 - R k = 0 the ball hardly fits, so there is no
+            # cusp.
             cusp[j, i] = pitch * pitch * steep * q / (8.0 * radius * max(0.25, 1.0 - (radius + leave) * bend))
 
 
 @njit(cache=True, nogil=True)
 def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
-    """Return how far a ball touching the surface at (x, y) lies in it elsewhere, run-out included.
+    """Return how far a ball that touches the surface at (x, y) penetrates it elsewhere, run-out included.
 
     The deepest node of a lattice, then of ever finer 5 x 5 lattices around it.
     """
@@ -106,7 +108,7 @@ def _fill_reached(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings, out):  # t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unreached:
-    """A place the ball cannot touch: where, how high the stock stays above what the pass should leave, how large."""
+    """A place that the ball cannot touch: position, height of the stock above what the pass should leave, size."""
 
     x_mm: float
     y_mm: float
@@ -146,7 +148,7 @@ class StockLeft:
         return _least(self.over_mm, among)
 
     def lowest_over_lens(self, among: np.ndarray) -> tuple[float, int]:
-        """Return the same of over_lens_mm: below 0 is a gouge."""
+        """Return the same for over_lens_mm: below 0 is a gouge."""
         return _least(self.over_lens_mm, among)
 
     def suspicious(self, spec: PassSpec) -> np.ndarray:
@@ -163,7 +165,7 @@ def _least(values: Array, among: np.ndarray) -> tuple[float, int]:
 
 
 def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, spec: PassSpec) -> np.ndarray:
-    """Return which of the cells (flat indices) a ball of the pass's radius, grown by what it leaves, can touch."""
+    """Return which of the cells (flat indices) a ball of the pass's radius plus its stock to leave can touch."""
     rows, columns = np.divmod(cells, grid.top_mm.shape[1])
     radius_mm = spec.radius_mm + spec.stock_to_leave_mm
     rings = int(np.clip(radius_mm / (2 * min(heightfield.dx_mm, heightfield.dy_mm)), 12, 24))
@@ -177,7 +179,7 @@ def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExcessFound:
-    """Where stock stands too high: within the ball's reach (it was not cut) and out of it (it cannot be).
+    """Excess stock: within the ball's reach (it was not cut) and out of its reach (it cannot be cut).
 
     excess_um      : greatest height above the wanted surface within reach, cusps included; at x_mm, y_mm
     uncut_mm       : greatest height beyond the allowed cusps among reachable cells under suspicion (0: none)
@@ -196,8 +198,8 @@ def find_excess(
 ) -> ExcessFound:
     """Separate forgotten stock from stock that the ball cannot reach. among (ny, nx): the cells that are judged.
 
-    A flat cutter leaves too much for this to show: there the spacing of its rows is judged, and what the next pass
-    meets.
+    A flat cutter leaves too much for this test: instead, the spacing of its rows and the stock of the next pass are
+    judged.
     """
     suspects = left.suspicious(spec)
     judged_over_mm = left.over_mm
@@ -232,11 +234,10 @@ def find_excess(
 
 
 def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> tuple[float, int]:
-    """Return how far the worst of the cells stands above what tracks at the pass's pitch may leave there, and which it
-    is.
+    """Return the excess of the worst cell over what tracks at the pass's pitch may leave there, and the cell.
 
-    On a rippled lens rows far apart leave more than cusps, as the ball rests on ridges beside a hollow that it touches
-    between them: where cusps do not explain a cell, the rows next to it are tried, wherever they may lie.
+    On a rippled lens, rows far apart leave more than cusps, because the ball rests on ridges beside a hollow that it
+    would touch between them. If cusps do not explain a cell, all possible positions of the neighbouring rows are tried.
     """
     over_mm = left.over_mm.flat[cells]
     beyond = over_mm - _BESIDE_A_CREASE * left.cusp_mm.flat[cells]
@@ -255,7 +256,7 @@ def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, s
 
 
 def _left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: PassSpec) -> float:
-    """Return the most that two rows a pitch apart, one on either side of the place, leave there: over_mm."""
+    """Return the most stock (over_mm) that two rows a pitch apart, one on either side of the place, leave there."""
     row, column = divmod(cell, left.over_mm.shape[1])
     at = np.array([left.grid.x_mm[column], left.grid.y_mm[row]])
     wanted_mm = float(left.grid.top_mm.flat[cell] - left.over_mm.flat[cell])

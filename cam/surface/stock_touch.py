@@ -1,5 +1,5 @@
-"""Undersides of end mills: how low the tip may go before it meets the stock that is left, and the largest ball that a
-surface admits.
+"""Undersides of end mills: how low the tip may go before it meets the remaining stock, and the largest ball that fits a
+surface.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NEARLY_EVERYWHERE = 0.999
 
 
 def rise_mm(shape: CutterShape, radius_mm: float, away_mm: ArrayLike) -> Array:
-    """Return how high the underside stands above the tip, so far from the axis; beyond the rim as high as there."""
+    """Return the height of the underside above the tip at that distance from the axis, at most that at the rim."""
     corner_mm = shape.corner_mm(radius_mm)
     beyond = np.clip(np.asarray(away_mm) - shape.flat_mm(radius_mm), 0.0, corner_mm)
     return np.asarray(corner_mm - np.sqrt(corner_mm**2 - beyond**2))
@@ -54,7 +54,7 @@ def concave_curvature(heightfield: Heightfield) -> Array:
 
 
 def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:
-    """Return what curvature admits. A ball this large may still not reach where two slopes stand close together."""
+    """Return the largest radii that curvature allows. Such a ball may still not reach between two close slopes."""
     curvature = concave_curvature(heightfield).ravel()
     rank = int(NEARLY_EVERYWHERE * (curvature.size - 1))
     nearly = float(np.partition(curvature, rank)[rank])
@@ -68,7 +68,7 @@ def find_reached_share(heightfield: Heightfield, radius_mm: float) -> float:
 
 
 AIR_MM = -1e6
-"""Where the whole footprint lies beside the block."""
+"""The tip height where the whole footprint lies beside the block."""
 
 _FIRST_ALONE = Phrase("a ball, after a pass that has cut the shape")
 
@@ -80,8 +80,8 @@ class StockTouch:
     D(c) - tip is then exactly the most stock one move takes off, measured along Z: the engagement.
 
     height_mm (ny, nx) : D on a lattice whose node [0, 0] stands at (x0_mm, y0_mm)
-    slack_mm           : the most D can be too low, as cells and lattice only sample the ball: s^2 / 4R
-    stock, radius_mm   : what it was made of
+    slack_mm           : how much D can be too low, because cells and lattice only sample the ball: s^2 / 4R
+    stock, radius_mm   : the inputs
     """
 
     x0_mm: float
@@ -95,7 +95,7 @@ class StockTouch:
 
     @classmethod
     def of(cls, stock_top: StockGrid, radius_mm: float, shape: CutterShape = BALL) -> StockTouch:
-        """Dilate; shape: what is not a ball meets flat stock alone."""
+        """Dilate the stock; shape: of a cutter that is not a ball, which only meets flat stock."""
         top, cell = stock_top.top_mm, stock_top.cell_mm
         stride = max(1, int(radius_mm / 10 / cell))
         step, pad = stride * cell, math.ceil(radius_mm / (stride * cell)) + 1
@@ -136,8 +136,8 @@ class StockTouch:
         return out
 
     def exactly(self, x_mm: Array, y_mm: Array) -> Array:
-        """Return (n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice has
-        stock that the ball only passes by.
+        """Return (n,) D at x (n,), y (n,) from the stock's own cells: between two nodes beside a wall, the lattice
+        shows stock that the ball only passes.
         """
         stock, out = self.stock, np.empty(x_mm.size)
         _touch(stock.top_mm, stock.x0_mm, stock.y0_mm, stock.cell_mm, self.radius_mm, x_mm, y_mm, out)

@@ -23,7 +23,9 @@ from cam.surface.contact import TILE, Ball, touch_points, touch_rows
 from optics.heightfield import Heightfield, spline_jet
 
 GUARD_SHARE = 0.6
-"""Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
+"""Below this share of 1/R, Newton's method alone is reliable: the Hessian is only sampled, and det(J) must stay well
+away from 0.
+"""
 
 _RIM = 0.995  # of the radius: the ball's own bend grows without bound towards its equator
 
@@ -76,7 +78,7 @@ class ToolSurface:
             _fill_lattice(*spline.kernel_arguments, x, y[rows], ball_mm, step / np.sqrt(2), *out)
 
         if row_mm is None:
-            with ThreadPoolExecutor(2) as pool:  # asked for their results: what fails in one fails here
+            with ThreadPoolExecutor(2) as pool:  # fetch the results, so that an error in a thread is raised here
                 list(pool.map(fill, (slice(0, y.size // 2), slice(y.size // 2, None))))
         else:
             fill(slice(None))
@@ -107,7 +109,7 @@ class ToolSurface:
 
     @property
     def node_step_mm(self) -> float:
-        """Distance of the nodes of its lattice."""
+        """Distance between the nodes of the lattice."""
         return float(self.kernel.node_step)
 
     def contacts_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
@@ -164,7 +166,7 @@ def _grown(mask: np.ndarray, by: float) -> np.ndarray:
 
 
 _NODES = 32  # a radius of the cutter
-_FEW_NODES = 12  # for what a pass leaves: `camera`, 100 mm, Ø 6 mm with corners of 1 mm: hours are off by a thousandth
+_FEW_NODES = 12  # for the stock of a pass: `camera`, 100 mm, Ø 6 mm, corners of 1 mm: hours are off by a thousandth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -249,7 +251,9 @@ def left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
 
 
 def find_highest(heights: Array, cells: float) -> Array:
-    """Return the highest within so many cells of each: a disc is as many runs along x as it has rows."""
+    """Return the highest value within that many cells of each: a disc is a set of runs along x, one for each of its
+    rows.
+    """
     n = floor(cells)
     padded, rows = np.pad(heights, ((n, n), (0, 0)), mode="edge"), heights.shape[0]
     highest = np.full_like(heights, -np.inf)

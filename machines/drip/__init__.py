@@ -1,1 +1,1 @@
-"""DNC drip feed: a control that is fed over a serial line and says only 'go on' (DC1) and 'stop' (DC3)."""
+"""DNC drip feed: a control that is fed over a serial line and only sends 'go on' (DC1) and 'stop' (DC3)."""

@@ -1,4 +1,4 @@
-"""DNC drip feed with XON/XOFF (DC1/DC3) for Okuma-class controls, the handshake done here and not in the port.
+"""DNC drip feed with XON/XOFF (DC1/DC3) for Okuma-class controls. The handshake is done here and not in the port.
 
 Why not the port's own XON/XOFF: a tty or a USB adapter queues hundreds of bytes that have passed the driver already;
 the kernel stops at DC3 what is still in its queue, but not what is in the adapter, and it hides when the control said
@@ -52,7 +52,7 @@ FACTS = DriverFacts(
 
 
 def refuse_text(text: bytes) -> Phrase | None:
-    """Return why this block cannot go over a 7-bit line to such a control; None if it can."""
+    """Return why this block cannot be sent over a 7-bit line to such a control; None if it can."""
     for byte in text:
         if not 0x20 <= byte < 0x7F:
             return Phrase("byte 0x{byte:02x} is not printable 7-bit text", byte=byte)
@@ -136,7 +136,7 @@ class DripDriver(OneWayDriver):
                 )
             if byte & 0x7F == DC1:
                 self._go_on(now_s)
-            elif byte & 0x7F == DC3:  # DC2, DC4, NAK ... are words of a tape punch, that ask nothing of a sender
+            elif byte & 0x7F == DC3:  # DC2, DC4, NAK ... are for a tape punch and do not concern the sender
                 self._stop(now_s)
 
     def _go_on(self, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""A program as bytes for a link that answers nothing: which line each byte belongs to, how fast to hand them over."""
+"""A program as bytes for a link that gives no answers: the line of each byte, and the rate of handing them over."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ SETTLED_BLOCKS = 2  # blocks beyond the planner that may be neither in the buffe
 
 @dataclass(slots=True)
 class ByteFeed:
-    """Blocks turned into bytes, handed over in pieces of any size, with the book of where each line ends.
+    """Turns blocks into bytes, hands them over in pieces of any size, and keeps a record of where each line ends.
 
-    encode         : a block with its line end, as it goes over the wire (raises what is wrong with it)
+    encode         : makes the bytes of a block with its line end (raises an error for a bad block)
     head, tail     : bytes before the first and after the last block
-    buffer_bytes   : what the far end can hold unexecuted; None: not known, so nothing counts as executed
+    buffer_bytes   : bytes that the far end can hold unexecuted; None: not known, so nothing counts as executed
     planner_blocks : blocks it may hold beyond that buffer
     """
 
@@ -92,7 +92,7 @@ class ByteFeed:
 
 @dataclass(slots=True)
 class Pace:
-    """How many bytes wait between us and the wire, from what was written and how fast the wire takes them.
+    """Estimates how many bytes wait between us and the wire, from the bytes written and the wire's rate.
 
     bytes_per_s : kept a little under the wire's rate, so that the estimate errs to the safe side and never drifts
     most_queued : bytes that may wait; they go out even after the far end has said stop

@@ -1,7 +1,7 @@
-"""What all links have in common that only take bytes: no answer per line, no position, no stop but to stop sending.
+"""The common base of links that only take bytes: no answer per line, no position, and no stop except to stop sending.
 
-Progress is counted in bytes that have left; what the machine does with them is not known, and every word this driver
-says keeps to that. A line counts as executed only when the far end's buffers cannot hold it any more.
+Progress is counted in bytes sent; what the machine does with them is not known, and this driver claims no more than
+that. A line counts as executed only when the far end's buffers cannot hold it any more.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from phrases.phrase import Phrase
 if TYPE_CHECKING:
     from machines.port import Port
 
-_END_GRACE_S = 0.5  # after the last byte, for what the far end has to say about it
+_END_GRACE_S = 0.5  # after the last byte, for a reaction of the far end
 
 
 class OneWayDriver:
-    """Base of the drip feed and of the serial Roland; they say what a block looks like and when bytes may go."""
+    """Base of the drip feed and of the serial Roland, which define the form of a block and when bytes may be sent."""
 
     protections: tuple[str, ...] = ()
 
@@ -54,7 +54,7 @@ class OneWayDriver:
         self._held = False
         self._last_byte_s = 0.0
 
-    # What the two links differ in.
+    # The differences between the two links.
 
     def _encode(self, line: ProgramLine) -> bytes:
         raise NotImplementedError
@@ -68,10 +68,10 @@ class OneWayDriver:
         return True
 
     def _receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes that came from the far end."""
+        """Handle bytes received from the far end."""
 
     def _tick(self, now_s: float) -> None:
-        """Do what is due on every turn of a poll."""
+        """Do the periodic work of every turn of a poll."""
 
     def _describe_running(self) -> Phrase:
         return Phrase("sending; this link does not show what the machine does with the bytes")
@@ -113,7 +113,7 @@ class OneWayDriver:
                 self._lose(error.words)
                 break
             if self._channel.events or now_s >= deadline_s or (not data and now_s < before_s + wait_s):
-                break  # the last case: somebody called wake()
+                break  # the last case: wake() was called
         self._book()
         return self._channel.take_events()
 
@@ -159,7 +159,7 @@ class OneWayDriver:
     def _send_order(self, feed: ByteFeed, require: Require) -> None:
         """Write the first bytes of an order now, if the far end takes bytes. Raise MachineError if it is too late.
 
-        If it takes none now, the bytes leave when a person at its panel lets it ask for them.
+        If it takes none now, the bytes are sent when a person at its panel lets it ask for them.
         """
         now_s = self._port.clock()
         room = self._pace.room(now_s) if self._may_send() else 0
@@ -213,7 +213,7 @@ class OneWayDriver:
     # Inside.
 
     def _turn(self) -> float:
-        """Send what may go now; seconds until there is something to do again."""
+        """Send the bytes that may be sent now; return the seconds until there is more to do."""
         now_s = self._port.clock()
         self._tick(now_s)
         feed = self._feed
@@ -249,7 +249,7 @@ class OneWayDriver:
             self._last_byte_s = now_s
 
     def _finish(self, now_s: float) -> float:
-        """Wait until all bytes that were handed over have left, then say so."""
+        """Wait until all bytes that were handed over are sent, then report that."""
         end_s = self._last_byte_s + self._pace.wait_s(now_s, 0) + _END_GRACE_S
         if now_s < end_s or self._count_unsent(now_s):
             return max(end_s - now_s, 0.01)

@@ -1,4 +1,4 @@
-"""The controls a program can be meant for, as data: what each takes beside the language all of them share.
+"""The controls for which a program can be meant, as data: what each accepts in addition to the common language.
 
 Source: the table in the comparison of dialects (GRBL 1.1h and grblHAL measured, others from their manuals).
 """
@@ -11,8 +11,8 @@ from machines.gcode import refusals
 from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MACHINE_BY_H, MOVES_FRAME, OFFSET_BY_H
 from phrases.phrase import Phrase
 
-RML = "rml-1"  # no dialect of G-code but Roland's own language: programs in it are sent as they stand
-SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words GRBL has not: refused by those, in their name
+RML = "rml-1"  # not a dialect of G-code but Roland's own language: its programs are sent unchanged
+SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words that GRBL lacks: refused with those words, by name
 
 Own = tuple[tuple[int, int, int, int], ...]
 
@@ -34,12 +34,12 @@ class Dialect:
     """One control.
 
     title              : what sentences call it
-    is_grbl            : GRBL or one of its kin, whose link reports where the mill stands
+    is_grbl            : GRBL or a relative, whose link reports the mill's position
     line_limit         : characters of code it holds, comments and blanks not counted
     n_limit            : greatest N word
     percent            : takes a line that is only %
     letters            : letters it takes beside SHARED_LETTERS
-    own                : its own words for language.execute_block, and the refusals of words it has not
+    own                : its own words for language.execute_block, and the refusals of words that it lacks
     two_digits         : G and M words have two digits
     needs_point        : letters whose numbers carry a decimal point
     bare_zero          : 0 needs none (it is 0 in any unit)
@@ -50,7 +50,7 @@ class Dialect:
     spindle_first      : S and M03 must come before the first cutting move
     g53_absolute       : G53 only in G90
     numbered           : an interrupted program can be entered at an N word
-    mist               : takes M7 as it is sold
+    mist               : accepts M7 in its standard version
     """
 
     name: str
@@ -96,7 +96,7 @@ class Dialect:
         return Phrase("O and {least} to {most} digits", least=least, most=most)
 
     def name_offset(self, number: int) -> str:
-        """Return what a program of this control calls work offset 1 to 6."""
+        """Return the name of work offset 1 to 6 in a program for this control."""
         by_h = any(action == OFFSET_BY_H for _, action, _, _ in self.own)
         return f"G15 H{number}" if by_h else f"G{53 + number}"
 
@@ -137,7 +137,7 @@ _CNC_OWN = (
 )
 _PRECISE = (*_g(ACCEPT, (5.1,), "Q"), *_g(ACCEPT, (8,), "P"))  # high-precision modes, on and off
 _LENGTHS = _g(MOVES_FRAME, (43, 44), "HZ")
-# What GRBL and LinuxCNC share, and controls of other families do not have or mean otherwise.
+# Words that GRBL and LinuxCNC share, and that controls of other families lack or use differently.
 _NOT_ON_ISO = _g(-refusals.NOT_HERE, (28.1, 30.1, 38.2, 38.3, 38.4, 38.5, 43.1, 91.1, 92.1))
 
 DIALECTS: dict[str, Dialect] = {

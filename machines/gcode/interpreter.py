@@ -1,7 +1,7 @@
-"""One block after the other, in plain Python: for the streaming process, which must stay small and quick.
+"""Interprets block after block in plain Python, for the streaming process, which must stay small and quick.
 
-Straight moves, nearly all of a program, take a short way; everything else goes through
-language.execute_block, the source that the scanner of whole programs compiles.
+Straight moves, nearly all of a program, take a fast path; everything else goes through language.execute_block, the
+source that the scanner of whole programs compiles.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _WHOLE = {b"%d" % n: 10 * n for n in range(100)}  # nearly all G and M numbers
 
 
 class Interpreter:
-    """Keeps the modal state of a program; `take` carries out one block of it."""
+    """Keeps the modal state of a program; `take` executes one block of it."""
 
     __slots__ = ("_dialect", "_letters", "_out", "_plain", "_position", "_vector")
     _plain: bool
@@ -106,7 +106,7 @@ class Interpreter:
         return Step("rapid", start, end, None, length)
 
     def _general(self, text: bytes) -> Step:
-        """Interpret any block, through the language proper."""
+        """Interpret any block with language.execute_block."""
         block = strip_block(text)
         if block == b"%" and self._dialect.percent:
             return Step("none", self._position, self._position)
@@ -178,7 +178,7 @@ class Interpreter:
         )
 
     def _sync(self) -> list[float]:
-        """Return the vector with the position of the short way written back."""
+        """Return the vector after writing back the position of the fast path."""
         x, y, z = self._position
         self._vector[:3] = (
             math.nan if x is None else x, math.nan if y is None else y, math.nan if z is None else z,
@@ -186,7 +186,7 @@ class Interpreter:
         return self._vector
 
     def _settle(self) -> None:
-        """Set position and "may take the short way" from the vector."""
+        """Set the position, and whether the fast path is allowed, from the vector."""
         v = self._vector
         self._position = _known(v[0], v[1], v[2])
         self._plain = (

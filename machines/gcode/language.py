@@ -1,6 +1,6 @@
-"""What one block means: the modal groups, the axis commands and the arcs of GRBL 1.1, once for all readers.
+"""The meaning of one block: the modal groups, the axis commands and the arcs of GRBL 1.1, once for all readers.
 
-Plain functions on vectors of floats, without calls between them, so that the same source runs as it stands in the
+Plain functions on vectors of floats, without calls between them, so that the same source runs unchanged in the
 streaming process (lists, no numpy) and compiled over whole programs in scan.py. Order and refusals follow gc.c.
 """
 
@@ -27,7 +27,7 @@ OUT_SIZE = 16
 NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30. MACHINE: G53
 WAITS, WITHHOLDS, ENDS, WRITES = 1, 2, 4, 8
 STATED_UNITS, STATED_DISTANCE = 1, 2
-# What a dialect's own word may do.
+# Effects of a dialect's own word.
 ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H, MACHINE_BY_H = range(1, 7)  # the last: H0 is what G53 is
 M2_READ, TAPE_ENDED = 1, 2  # bits of ENDED
 
@@ -45,7 +45,7 @@ def execute_block(
     values (26,) : numbers by letter, where `seen` has the letter's bit; G and M words apart as 10 x their number
     own (k, 4)   : words of the dialect: 10 x number (M: + 100 000), what it may do or -refusal, letters used, any;
                    it may refuse or extend any word but G0 to G3
-    Where a block is refused, state may be half changed: nothing after it is read.
+    If a block is refused, state may be partly changed; nothing after it is read.
     """
     nan = math.nan
     for k in range(OUT_SIZE):

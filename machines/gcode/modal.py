@@ -1,4 +1,4 @@
-"""What a controller remembers between two blocks of a program, and what one block makes the mill do.
+"""The state that a controller keeps between two blocks of a program, and the effect of one block on the mill.
 
 The modal state is kept in words, as plain data, and as the vector of floats that language.execute_block works on. A
 step also says how far a point is from it.
@@ -76,9 +76,7 @@ class ModalState:
         return ModalState(**values)
 
     def words(self, *, with_motion: bool = True) -> str:
-        """Return the blocks' words that bring a controller into this state, motion and position aside: "G21 G90 G17
-        ...".
-        """
+        """Return the words that bring a controller into this state, except motion and position: "G21 G90 G17 ..."."""
         modes = [self.units, self.distance, self.plane, self.feed_mode, self.wcs]
         if with_motion and self.motion in ("G0", "G1"):
             modes.append(self.motion)

@@ -1,9 +1,9 @@
-"""A program on disk, read for streaming: verified piece by piece, from any line, in a constant bit of memory.
+"""Reads a program on disk for streaming: verified piece by piece, from any line, in constant memory.
 
 Pre-flight leaves an index: every few thousand lines the byte offset, the modal state there and a digest of the piece
 that follows. A line is handed out only after the digest of its whole piece has matched, from the very bytes that were
-hashed, so that what is sent is what pre-flight has read. The index of a program in another language than G-code has no
-modal state; it is made here, that of G-code where programs are scanned.
+hashed, so that exactly the bytes that pre-flight has read are sent. The index of a program in another language than
+G-code has no modal state; it is made here, that of G-code where programs are scanned.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ProgramIndex:
         self._line_numbers.extend(entry.line for entry in self.entries)
 
     def before(self, line: int) -> int:
-        """Number of the last entry at or before `line`."""
+        """Return the number of the last entry at or before `line`."""
         return max(0, bisect_right(self._line_numbers, line) - 1)
 
     def end_of(self, entry: int) -> int:
@@ -81,7 +81,7 @@ class ProgramIndex:
 
 
 class ProgramReader:
-    """The blocks of one program file. Each call of `lines` reads on its own, so several may run beside each other."""
+    """The blocks of one program file. Each call of `lines` reads independently, so several may run at the same time."""
 
     def __init__(self, path: Path, index: ProgramIndex) -> None:
         self.path = path
@@ -145,7 +145,7 @@ def _blocks(data: bytes, line: int, offset: int, dialect: str) -> Iterator[Progr
     """Yield the blocks of one piece. A piece without comments, blanks or lower case needs no work on its lines."""
     strip: Callable[[bytes], bytes] = strip_block
     plain, keeps_percent = False, True
-    if dialect == RML:  # its own language: as it stands, and ; ends a command
+    if dialect == RML:  # its own language: unchanged, and ; ends a command
         strip = strip_ends
     else:
         keeps_percent = not DIALECTS[dialect].is_grbl
@@ -183,7 +183,9 @@ class TextIndex:
         )
 
     def cut_into_pieces(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
-        """Yield the chunks as they are; on the way they are cut into pieces. ProgramRefusedError at a line too long."""
+        """Yield the chunks unchanged, and index their pieces meanwhile. ProgramRefusedError for a line that is too
+        long.
+        """
         rest = b""
         for chunk in chunks:
             yield chunk
@@ -192,7 +194,7 @@ class TextIndex:
             self._close(rest)
 
     def _take(self, data: bytes) -> bytes:
-        """Close all whole pieces of the data; what is left of it."""
+        """Close all complete pieces of the data; return the rest."""
         at = 0
         while len(data) - at >= self._piece_bytes:
             end = data.rfind(b"\n", at, at + self._piece_bytes) + 1

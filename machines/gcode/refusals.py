@@ -1,4 +1,4 @@
-"""Why a line of a program is refused: one sentence each, with the way out, by number for the compiled kernel."""
+"""Reasons for refusing a line of a program: one sentence each, with the remedy, by number for the compiled kernel."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A whole program in one compiled pass: moves in batches, totals, and the index by which it can be entered anywhere.
+"""Reads a whole program in one compiled pass: moves in batches, totals, and the index for entering it anywhere.
 
-Imports numpy and numba: for a child process only. Memory does not grow with the program but for the index
-(one entry per piece of about 20 000 lines).
+Imports numpy and numba: for a child process only. Memory does not grow with the program, except for the index (one
+entry per piece of about 20 000 lines).
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class ScanBatch:
     """Consecutive entries of one program, laid out like cam.reading's; arcs come as chords (0.002 mm, GRBL's $12).
 
     sent_bytes (n,) : bytes on the wire up to and including the line of this entry (comments and blanks are not sent)
-    A place that only the controller knows costs no time: the axis appears where it is next given, as a pause of 0 s.
+    A position that only the controller knows takes no time: the axis appears at its next given position, as a pause of
+    0 s.
     """
 
     points_mm: np.ndarray
@@ -103,7 +104,7 @@ class ProgramScan:
             buffer, real = rest + chunk, len(rest) + len(chunk)
             self.bytes += len(chunk)
             if is_last and buffer and not buffer.endswith(b"\n"):
-                buffer += b"\n"  # read as if it were there
+                buffer += b"\n"  # as if the last line were terminated
             at, take = 0, PIECE_BYTES
             while at < len(buffer):
                 used, batch = self._read(buffer, at, take)
@@ -194,7 +195,7 @@ def _rules(dialect: Dialect) -> np.ndarray:
 
 
 def _with_last(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
-    """Yield each chunk with "no more after it"; at least one, possibly empty."""
+    """Yield each chunk, and whether it is the last; at least one, possibly empty."""
     held = b""
     for chunk in chunks:
         if held:

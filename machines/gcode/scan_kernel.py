@@ -1,8 +1,8 @@
 """The compiled part of the scanner: bytes to moves, statistics and modal state in one pass.
 
-Never imported by the streaming process. What a block means is language.execute_block, compiled here from the same
-source that the interpreter runs; only straight moves in plain modes take a short way of their own, as they do there.
-What nearly every line goes through stands in one function: calls that hand arrays on halve the speed.
+Never imported by the streaming process. language.execute_block, compiled here from the same source that the interpreter
+runs, interprets the blocks; only straight moves in plain modes take a fast path, as they do there. The code for nearly
+every line is in one function, because calls that pass arrays halve the speed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _refuse_sign(c, rules):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _is_name(code, size, rules):  # type: ignore[no-untyped-def]
-    """Say whether the whole line is a program's name in this dialect: O and digits, or O and letters and digits."""
+    """Return whether the whole line is a program's name in this dialect: O and digits, or O and letters and digits."""
     named = rules[tally.RULE_NAMED] != 0
     least = 1 if named else rules[tally.RULE_NAME_LEAST]
     most = 16 if named else rules[tally.RULE_NAME_MOST]
@@ -215,7 +215,7 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
             and mode <= 10.0
             and (n_g == 0 or (n_g == 1 and g[0] <= 10))
         ):
-            # The short way: a straight move, absolute, in mm.
+            # The fast path: a straight move, absolute, in mm.
             if seen & 32:
                 if not values[5] > 0.0:
                     return begin, n, refusals.BAD_FEED, begin

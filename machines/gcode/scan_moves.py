@@ -1,4 +1,4 @@
-"""The compiled part of the scanner that takes down what moves: entries of the batch, totals, bounds, events.
+"""The compiled part of the scanner that records moves: entries of the batch, totals, bounds, events.
 
 state (18,) is language's modal state; place (3,) where the last entry ended; totals, events and bounds are tally's;
 rates (3,) the greatest of each axis; moves the arrays of the batch.
@@ -14,7 +14,7 @@ from machines.gcode import language, refusals, tally
 
 MOST_CHORDS = 50_000
 ARC_TOLERANCE_MM = 0.002  # $12 as GRBL ships it
-_OVER = 1.05  # of an axis's rate: what is slowed down by less nobody sees
+_OVER = 1.05  # times an axis's rate: moves that are slowed down by less are not reported
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -26,8 +26,8 @@ def note_event(events, which, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def is_plain(state):  # type: ignore[no-untyped-def]
-    """Return whether blocks are absolute, in mm, with feeds per minute, and the program is not ended: straight moves
-    may take the short way.
+    """Return whether blocks are absolute, in mm, with feeds per minute, and the program has not ended: then straight
+    moves may take the fast path.
     """
     metric = state[language.MM] == 1.0 and state[language.FEED_MODE] == 94.0
     return metric and state[language.ABSOLUTE] == 1.0 and state[language.ENDED] == 0.0
@@ -99,7 +99,7 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
             row[d] = value
         if value > row[3 + d]:
             row[3 + d] = value
-    if jumps:  # from a place nobody knows, or that has a new name: takes no time here
+    if jumps:  # from an unknown position, or one in a frame that has moved: counts no time here
         n = add_entry(n, place, False, 0.0, line, False, 0.0, totals[tally.SENT_BYTES], moves)
     length = math.sqrt(length2)
     totals[tally.PATH_MM] += length
@@ -170,7 +170,7 @@ def add_arc(n, out, line, start, end, state, place, totals, events, bounds, rate
 
 @njit(cache=True, nogil=True)
 def add_jump(n, out, kind, line, state, place, totals, events, bounds, moves):  # type: ignore[no-untyped-def]
-    """Add a move to a place only the controller knows, or in machine coordinates (G28, G30; G53)."""
+    """Add a move to a position that only the controller knows (G28, G30), or in machine coordinates (G53)."""
     row = bounds[tally.MACHINE_ROW]
     if kind == language.JUMP:
         row = row_of(bounds, state)
@@ -187,7 +187,7 @@ def add_jump(n, out, kind, line, state, place, totals, events, bounds, moves):  
 
 @njit(cache=True, nogil=True)
 def note_assumed(state, g, n_g, events, line):  # type: ignore[no-untyped-def]
-    """Note coordinates before the program has said their unit, or from where they count."""
+    """Note coordinates that come before the program has stated their unit or their reference."""
     stated = int(state[language.STATED])
     for k in range(n_g):
         if g[k] == 200 or g[k] == 210:
@@ -202,7 +202,7 @@ def note_assumed(state, g, n_g, events, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def note_block(seen, m, n_m, out, line, state, totals, events):  # type: ignore[no-untyped-def]
-    """Note events and spindle speeds of a block that has taken the general way."""
+    """Note events and spindle speeds of a block that the general interpreter has executed."""
     flags = int(out[language.FLAGS])
     if seen & 1 << 13:
         note_event(events, tally.NUMBERED, line)
@@ -223,7 +223,9 @@ def note_block(seen, m, n_m, out, line, state, totals, events):  # type: ignore[
 
 @njit(cache=True, nogil=True)
 def check_motion(seen, out, rules, line, state, events, start, end):  # type: ignore[no-untyped-def]
-    """Look at what a block that has taken the general way moves: `start` and `end` of it, and a refusal code or 0."""
+    """Record the motion, from `start` to `end`, of a block that the general interpreter has executed; return a refusal
+    code or 0.
+    """
     kind = int(out[language.KIND])
     if kind == language.MACHINE and rules[tally.RULE_G53] != 0 and state[language.ABSOLUTE] == 0.0:
         return refusals.G53_RELATIVE

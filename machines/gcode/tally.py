@@ -1,4 +1,4 @@
-"""Places in the vectors a scan fills: totals, events, bounds. Plain numbers, for the kernel and its readers."""
+"""Indices of the vectors that a scan fills: totals, events, bounds. Plain numbers, for the kernel and its readers."""
 
 from __future__ import annotations
 

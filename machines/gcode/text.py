@@ -1,5 +1,5 @@
-"""A program as text: plain text with line ends that every control reads; of a line, comments and blanks taken off and
-the words separated. Plain Python; the compiled twin is in scan.py.
+"""A program as text: checks that it is plain text with line ends that every control reads, strips comments and blanks
+from a line, and splits it into words. Plain Python; the compiled twin is in scan.py.
 """
 
 from __future__ import annotations
@@ -82,7 +82,9 @@ def strip_block(text: bytes) -> bytes:
 
 
 def _without_comments(text: bytes) -> bytes:
-    """Remove comments: ( ends at the first ), ; at the line end; each hides the other, as in GRBL's protocol.c."""
+    """Remove comments: ( ends at the first ), ; at the line end. Inside one kind the other has no effect, as in GRBL's
+    protocol.c.
+    """
     kept = b""
     while True:
         opening, semicolon = text.find(b"("), text.find(b";")
@@ -96,7 +98,7 @@ def _without_comments(text: bytes) -> bytes:
 
 
 def split_words(block: bytes) -> list[tuple[bytes, bytes]]:
-    """Return letters and numbers of a stripped block. BadTextError where something is neither."""
+    """Return the letters and numbers of a stripped block. BadTextError if a part is neither."""
     words: list[tuple[bytes, bytes]] = _WORD.findall(block)
     if sum(len(number) for _, number in words) + len(words) != len(block):
         raise BadTextError(_what_is_wrong(block))
@@ -107,7 +109,7 @@ def split_words(block: bytes) -> list[tuple[bytes, bytes]]:
 
 
 def _what_is_wrong(block: bytes) -> int:
-    """Return the refusal code of the first place that is no word."""
+    """Return the refusal code of the first part that is not a word."""
     at = 0
     while match := _WORD.match(block, at):
         at = match.end()
@@ -115,8 +117,8 @@ def _what_is_wrong(block: bytes) -> int:
 
 
 def strip_ends(text: bytes) -> bytes:
-    """Return a line of another language than G-code as it stands, without the blanks and the tape's end marks around
-    it.
+    """Return a line of a language other than G-code unchanged, except that blanks and tape end marks around it are
+    removed.
     """
     return text.strip(b" \t\r\n\x0b\x0c\x1a\x00")
 

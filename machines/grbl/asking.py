@@ -1,4 +1,4 @@
-"""What sequences of lines to the controller are made of: a line and its answer, standstill, a question asked twice."""
+"""The steps of line sequences to the controller: a line and its answer, standstill, a query asked twice."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from phrases.phrase import NO_WORDS, Phrase
 
 REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
 BLOCK_S = 60.0
-TOLD_AT_MOST = 5  # times a thing is asked until two answers running agree
+TOLD_AT_MOST = 5  # most repetitions of a query until two consecutive answers agree
 PROBE_TAG, VERSION_TAG, PARSER_TAG, OFFSET_TAG = "PRB", "VER", "GC", "G54"
 _QUESTIONS = frozenset({b"$I", b"$$", b"$#", b"$G"})
 
@@ -21,10 +21,10 @@ _QUESTIONS = frozenset({b"$I", b"$$", b"$#", b"$G"})
 class Ask:
     """Send this line and wait for its answer.
 
-    expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer:
-             one that comes earlier belongs to something sent before. "" takes any.
-    timeout_s : beside what the link takes (`SilenceClock.late_s`)
-    twice  : write it twice at once, for the time of one answer; the second answer is `Answer.again`
+    expect : tag of a push, or "$" for a setting, that must come before the `ok` that counts as this line's answer: an
+    earlier `ok` belongs to something sent before. "": any `ok` counts.
+    timeout_s : in addition to the link's own delay (`SilenceClock.late_s`)
+    twice  : write the line twice at once, which takes the time of one answer; the second answer is `Answer.again`
     """
 
     text: bytes
@@ -34,7 +34,7 @@ class Ask:
 
     @property
     def is_question(self) -> bool:
-        """Return whether the line only asks: it moves nothing and changes nothing."""
+        """Return whether the line is only a query, which moves and changes nothing."""
         return self.text in _QUESTIONS
 
 
@@ -47,7 +47,7 @@ class WaitStill:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came back. `failure` in words; "" if `ok` came."""
+    """The answer to a line. `failure` in words; "" if `ok` came."""
 
     failure: Phrase = NO_WORDS
     heard: tuple[replies.Reply, ...] = ()
@@ -57,7 +57,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a finished sequence leaves behind."""
+    """The effects of a finished sequence."""
 
     answer: dict[str, object] = field(default_factory=dict)
     settings: ControllerSettings | None = None
@@ -82,10 +82,11 @@ def require_ok(answer: Answer) -> Answer:
 
 
 def ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
-    """Ask until two answers running agree, and return it: a byte lost on the way makes 300 mm of travel 0 mm.
+    """Ask until two consecutive answers agree, and return that answer: one lost byte could turn 300 mm of travel into 0
+    mm.
 
-    The first two questions go out at once, for a slow link takes as long for two as for one. Nothing, where it does not
-    answer twice running.
+    The first two queries are sent at once, because on a slow link two take as long as one. Return nothing if two
+    consecutive queries are not answered.
     """
     both = yield Ask(text, expect=expect, twice=True)
     if not both.failure and both.heard == both.again:
@@ -110,7 +111,7 @@ def ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tu
 def ask_offsets(
     settings: ControllerSettings,
 ) -> Generator[Ask | WaitStill, Answer, tuple[ControllerSettings, dict[str, list[float]]]]:
-    """Ask $#: the settings with the offsets of now, and these alone as plain data."""
+    """Query $#: return the settings with the present offsets, and the offsets as plain data."""
     unit = replies.Setting(13, settings.values.get(13, "0"))
     heard = yield from ask_twice(b"$#", OFFSET_TAG)
     offsets = read_settings((unit, *heard)).offsets

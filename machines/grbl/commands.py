@@ -1,4 +1,4 @@
-"""Commands beside a program: one line, its answer, the next. Lines in, lines out, time given.
+"""Commands outside a program, line by line: each line waits for the answer to the one before. Time is passed in.
 
 Overrides go by realtime bytes: one step of each size per report, because the firmware merges equal bytes.
 """
@@ -63,7 +63,7 @@ def _read_percent(what: str, overrides: tuple[int, int, int]) -> int:
 
 
 def _make_step(what: str, now_percent: int, percent: int) -> bytes:
-    """Return realtime bytes that bring the override nearer: at most one coarse and one fine step."""
+    """Return the realtime bytes that bring the override nearer to its target: at most one coarse and one fine step."""
     if now_percent == percent:
         return b""
     if what == "rapid":
@@ -83,11 +83,11 @@ def _make_step(what: str, now_percent: int, percent: int) -> bytes:
 
 @dataclass(slots=True, eq=False)
 class OverrideControl:
-    """Brings one override at a time to its value, as reports show it. Goes beside all other commands."""
+    """Brings one override at a time to its value, checked against reports. Works alongside all other commands."""
 
     link: GrblLink
     _command: Override | None = None
-    _require: Require = allow_always  # each step acts by itself, and is looked at by itself
+    _require: Require = allow_always  # each step takes effect by itself and is checked by itself
     _step: bytes = b""  # to be written
     _until_s: float = 0.0
     _reports: int = 0  # since the last step
@@ -125,11 +125,11 @@ class OverrideControl:
             self.end(Phrase("{what} override stays at {percent} %", what=command.what, percent=percent))
         elif self._reports >= 2:
             self._step = step
-            # A step is relative: none is made of a report that is older than the last step.
+            # Steps are relative, so none is computed from a report that is older than the last step.
             self._reports = -self.link.reports_under_way
 
     def queue_step(self) -> None:
-        """Queue the waiting step for the next write. End the override if the order may not be carried out any more."""
+        """Queue the waiting step for the next write. End the override if its order is no longer valid."""
         if not self._step:
             return
         step, self._step = self._step, b""
@@ -145,12 +145,12 @@ STILL_REPORTS = 2  # a report may have been made just before the motion of an an
 CANCEL_REPORTS = 3  # a controller forgets the end of a jog whose line it has not read yet
 JOG_CANCEL = b"\x85"
 OnEnd = Callable[[Phrase, dict[str, object], float], None]
-"""What follows a sequence that has ended by itself: its failure in words, its answer, the time."""
+"""Called after a sequence that has ended by itself, with its failure in words, its answer and the time."""
 
 
 @dataclass(slots=True, eq=False)
 class CommandChannel:
-    """Carries out commands: one sequence at a time, which has the link for itself, and an override beside it.
+    """Carries out commands: one sequence at a time, which has the link to itself, and an override alongside it.
 
     command      : of the sequence under way; None if there is none, and for the questions of the handshake
     held_line    : of a sequence that a hold has ended: the controller may still carry it out
@@ -168,9 +168,9 @@ class CommandChannel:
     _begun_s: float = 0.0  # of our own time
     _heard: list[Reply] = field(default_factory=list)
     _first: Answer | None = None  # of a line that is asked twice
-    _odd: bytes = b""  # came meanwhile, and is nothing a controller says
+    _odd: bytes = b""  # received meanwhile; no controller sends such a line
     _still: int = 0
-    _cancel_reports: int = 0  # as many reports without a jog: then its end need not be asked for again
+    _cancel_reports: int = 0  # after as many reports without a jog, its end need not be requested again
     _on_end: OnEnd = field(init=False)
 
     @property
@@ -215,7 +215,7 @@ class CommandChannel:
         self._advance(None, now_s)
 
     def take_reply(self, reply: Push | Setting) -> None:
-        """Keep what comes before an `ok` for the answer."""
+        """Keep a line that comes before `ok` as part of the answer."""
         if isinstance(self._waiting, Ask):
             self._heard.append(reply)
 
@@ -246,7 +246,7 @@ class CommandChannel:
         self._odd = raw
 
     def take_report(self, report: Status, now_s: float) -> None:
-        """Count reports of standstill where that is waited for; bring an override on."""
+        """Count reports of standstill while one is awaited; take an override one step further."""
         if isinstance(self._waiting, WaitStill):
             self._still = self._still + 1 if report.state in ("Idle", "Check") else 0
             if self._still >= STILL_REPORTS:
@@ -258,7 +258,7 @@ class CommandChannel:
         self.override.take_report(report, now_s)
 
     def watch(self, now_s: float) -> None:
-        """Give up where nothing comes."""
+        """Give up a command when its answer is overdue."""
         waiting, silence = self._waiting, self.link.silence
         if waiting is None or silence.spent_s < self._begun_s + waiting.timeout_s + silence.late_s:
             return
@@ -271,7 +271,7 @@ class CommandChannel:
         self._advance(Answer(words, tuple(self._heard)), now_s)
 
     def end(self, words: Phrase) -> None:
-        """End what is under way, for a reason; the override too."""
+        """End the sequence under way and the override, with a reason."""
         if self._sequence is not None:
             self._sequence.close()
             self._sequence = self._waiting = None
@@ -294,7 +294,7 @@ class CommandChannel:
         try:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
             if isinstance(waiting, Ask) and not waiting.is_question:
-                self._require()  # the line leaves in this very call of the driver, before anything that could wait
+                self._require()  # the line is sent in this same call of the driver, before anything that could wait
                 self._require = allow_always
         except StopIteration as stop:
             self._finish(stop.value, NO_WORDS, now_s)

@@ -33,8 +33,8 @@ class GrblDriver:
     def __init__(self, port: Port, *, options: GrblOptions | None = None) -> None:
         self._port = port
         self._session = GrblSession(options, wire_bytes_per_s=port.wire_bytes_per_s)
-        self.failure: MachineError | None = None  # why the link is given up
-        self._urged = False  # a '!' has left that the session does not know of
+        self.failure: MachineError | None = None  # why the link was given up
+        self._urged = False  # a '!' was sent that the session does not know of
 
     @property
     def facts(self) -> DriverFacts:
@@ -58,7 +58,7 @@ class GrblDriver:
 
     @property
     def offers_reset(self) -> bool:
-        """Nothing answers, and a `Reset` would be tried: GRBL hears nothing else after ALARM:1 and ALARM:2."""
+        """Whether nothing answers and a `Reset` may help: after ALARM:1 and ALARM:2 GRBL accepts nothing else."""
         return self._session.link.offers_reset
 
     def connect(self) -> None:
@@ -92,7 +92,7 @@ class GrblDriver:
             self._port.write(data)
 
     def _name_fault(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
-        """Put the name of the port into the error of a link that no controller answers on."""
+        """Add the name of the port to the error of a link on which no controller answers."""
         for event in events:
             if isinstance(event, Faulted) and event.cause is FaultCause.DEVICE:
                 self.failure = NotAControllerError(self._port.url, event.words)
@@ -112,7 +112,7 @@ class GrblDriver:
             return self._port.write_realtime(JOG_CANCEL)
         if stop == "abort" and self._session.stops.is_quiet:
             return True
-        self._urged = True  # before the byte is there: the owner's own call may come at once
+        self._urged = True  # set before the byte is sent: the owner's own call may come at once
         return self._port.write_realtime(FEED_HOLD)
 
     def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
@@ -129,7 +129,7 @@ class GrblDriver:
         self._send_order(first, require)
 
     def hold(self) -> None:
-        self._urged = self._urged and self._session.link.phase is Phase.CLEARING  # the session knows of it otherwise
+        self._urged = self._urged and self._session.link.phase is Phase.CLEARING  # otherwise the session knows of it
         self._session.hold(self._port.clock())
         self._write_urgent()
 
@@ -144,7 +144,7 @@ class GrblDriver:
         self._write_urgent()
 
     def _write_urgent(self) -> None:
-        """Write now what is for now, not at the next poll."""
+        """Write urgent bytes now, not at the next poll."""
         self._write_now(self._session.urgent_output(self._port.clock()))
 
     def command(self, command: Command, require: Require = allow_always) -> None:

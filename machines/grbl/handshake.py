@@ -1,4 +1,4 @@
-"""The handshake: who answers, after a link was opened and after every start of the controller."""
+"""The handshake: identifies the controller after a link was opened and after every start of the controller."""
 
 from __future__ import annotations
 
@@ -96,11 +96,11 @@ class Handshake:
         link.greeting.recognised = True
         link.report_restart()
         if link.greeting.banner and report.state in ("Idle", "Alarm") and not link.hold_under_way:
-            self.stops.abort_wanted = False  # the reset that it was asked for in has done it
+            self.stops.abort_wanted = False  # the reset during which it was requested has done it
         if self.stops.abort_wanted:
             self.stops.abort(now_s)
         elif link.hold_wanted and not stands(report):
-            link.put_hold()  # asked for while the link was away
+            link.put_hold()  # requested while the link was away
         elif report.state in ("Idle", "Alarm", "Check"):
             link.enter(Phase.IDENTIFYING, now_s)
             self.commands.run(identify(self._banner), self._note_identity, now_s)
@@ -123,7 +123,7 @@ class Handshake:
             link.events.append(Notice(slow))
 
     def watch(self, now_s: float) -> None:
-        """Look at the clock: nobody answers, or nobody does any more."""
+        """Check the clock: nothing answers, or no longer does."""
         link, silent_s = self.link, self.link.silence.silent_s
         if link.phase is Phase.READY:
             if silent_s > HANDSHAKE_SILENCE_S + link.silence.late_s:

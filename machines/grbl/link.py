@@ -1,4 +1,6 @@
-"""The link to a controller: options, phase, who answers, what is known of the mill, what waits to be written."""
+"""The link to a controller: options, phase, the answering controller, the mill's known state, bytes waiting to be
+written.
+"""
 
 from __future__ import annotations
 
@@ -36,17 +38,17 @@ class GrblOptions:
 TOOL_DONE = b"\xa3"
 STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion
 PLAIN = bytes(range(0x20, 0x7F)) + b"\t\r\n"
-# Said where nothing answers any more, or not yet; a person then may send a reset.
+# Shown when nothing answers, or not yet; a person may then send a reset.
 SILENT = Phrase(
     "nothing answers '?'. After a limit alarm a controller accepts nothing but a reset, and while it homes it does "
     "not answer either: look at the mill; if it stands still, send a reset"
 )
-QUICK_S = 0.1  # at most between '?', while something waits for what the next report shows
+QUICK_S = 0.1  # at most between '?', while something waits for the next report
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
 
 
 class Greeting:
-    """Collects what came back to '?'."""
+    """Collects the answers to '?'."""
 
     def __init__(self, *, recognised: bool = False) -> None:
         self.recognised = recognised
@@ -65,17 +67,17 @@ class Greeting:
             self._foreign = name, line[:60]
 
     def count_unended(self, rest: bytes) -> None:
-        """Count what came after the last line end."""
+        """Count the bytes after the last line end."""
         self._rest = rest
 
     @property
     def is_foreign(self) -> bool:
-        """Return whether a firmware has answered that cannot be used."""
+        """Return whether an unsupported firmware has answered."""
         return self._foreign is not None
 
     @property
     def speaks(self) -> bool:
-        """Something has come that is no report: another device, another baud rate."""
+        """Whether something other than a report has come: another device, another baud rate."""
         return bool(self._bytes or self._rest) and not self.recognised and not self.banner
 
     @property
@@ -111,11 +113,11 @@ class Greeting:
 
 @dataclass(slots=True)
 class GrblLink:
-    """What all parts of a session share. Only `enter` changes the phase.
+    """State that all parts of a session share. Only `enter` changes the phase.
 
     urgent, text : to be written: realtime bytes, and lines of a command
     restart      : a banner that waits for its first report, and whether it ends a stop
-    hold_wanted  : a hold was asked for, and nothing since that ends it
+    hold_wanted  : a hold was requested, and nothing has ended it since
     hold_reports : reports since the last hold; up to 0 they may have been made before it arrived
     paused       : no new line of a program: held, door, or asked for
     offers_reset : nothing answers: it may be a controller after a limit alarm, and a person may send it a reset
@@ -147,7 +149,7 @@ class GrblLink:
 
     @property
     def hold_under_way(self) -> bool:
-        """Return whether a hold was asked for of which no report says yet what became of it."""
+        """Return whether a hold was requested whose effect no report shows yet."""
         return self.hold_wanted and self.hold_reports <= 0
 
     def enter(self, phase: Phase, now_s: float) -> None:
@@ -165,7 +167,7 @@ class GrblLink:
         self.enter(Phase.HAILING, now_s)
 
     def close(self, words: Phrase, now_s: float, cause: FaultCause | None, line: int = 0) -> None:
-        """Give the link up; nothing is written any more."""
+        """Close the link; nothing is written any more."""
         self.failure = words
         self.urgent.clear()
         self.text.clear()

@@ -1,4 +1,4 @@
-"""Which command is allowed in which state. Refusals name the command, the state and the way out."""
+"""Decides which command is allowed in which state. Refusals name the command, the state and the remedy."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ ALLOWED: dict[type, frozenset[MillState]] = {
     ReadSettings: frozenset({MillState.IDLE, MillState.ALARM}),
     SendBlock: _IDLE,
 }
-# These go beside a command that is under way; all others need the link for themselves.
+# These are allowed alongside a command under way; all others need the link to themselves.
 _BESIDE = (JogCancel, Override, TrustPosition)
 
 
@@ -65,8 +65,8 @@ def check_command(
 ) -> None:
     """Raise NotAllowedError unless the command may be carried out now.
 
-    machine_mm, trusted : where the mill stands, and whether that is where it counts
-    silent              : nothing answers; then a person may send a reset
+    machine_mm, trusted : the mill's position, and whether it is trusted
+    silent              : nothing answers, so a person may send a reset
     """
     name = "Line" if isinstance(command, SendBlock) else type(command).__name__
     if silent and isinstance(command, Reset):
@@ -135,7 +135,7 @@ def _values(
 def _jog(command: Jog, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
     """Refuse a jog of a homed mill that ends outside its travel: with $20=0 the controller itself would not.
 
-    A mill that stands outside already, by a pull-off or a hand, may come back.
+    A mill that is already outside, by a pull-off or by hand, may come back.
     """
     if settings.reach_mm is None or machine_mm is None:
         return None

@@ -1,10 +1,9 @@
-"""A total grammar of what GRBL 1.1, grblHAL and FluidNC say: every line is one of these replies, the rest is Garbled.
+"""A complete grammar of the replies of GRBL 1.1, grblHAL and FluidNC: every line is one of these replies, or Garbled.
 
-Strict on purpose: a line that is nearly right has been damaged on the way, and a damaged line is a fault of the link.
-What stands around a line is no part of it: blanks, a second CR, NULs that pad a line. `OK` is another spelling of a
-whole word, as it takes two damaged bytes to make one of `ok`. Words for the operator may hold anything.
-
-And the numbers of `error:n` and `ALARM:n` in words, each with what to do (GRBL 1.1 wiki; grblHAL and FluidNC extend).
+It is strict on purpose: a line that is almost right was damaged on the way, and a damaged line is a fault of the link.
+Padding around a line is ignored: blanks, a second CR, NULs. `OK` counts as a spelling of `ok`, because it would take
+two damaged bytes to turn one into the other. Messages for the operator may contain anything. The module also has words
+for the numbers of `error:n` and `ALARM:n`, each with a remedy (GRBL 1.1 wiki; grblHAL and FluidNC extend).
 """
 
 from __future__ import annotations
@@ -82,11 +81,11 @@ ALARMS: dict[int, Phrase] = {
 
 _UNLISTED = Phrase("not in the list of GRBL 1.1: see the manual of this controller")
 
-# After these the controller listens to nothing but a reset, not even to '?'.
+# After these the controller only accepts a reset, not even '?'.
 CRITICAL_ALARMS = frozenset({1, 2, 10})
-# After these machine coordinates mean nothing any more (reference/machines.md, 7.2).
+# After these, machine coordinates are no longer valid (reference/machines.md, 7.2).
 POSITION_LOST_ALARMS = frozenset({1, 3, 6, 7, 8, 9, 10, 15, 16, 17})
-# These leave the spindle as it was; with every other the firmware has stopped it.
+# These leave the spindle as it was; with every other alarm the firmware has stopped it.
 SPINDLE_ON_ALARMS = frozenset({4, 5, 11, 12, 13})
 
 
@@ -126,7 +125,7 @@ class AlarmReply:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """One report `<...>`. Positions in report units (mm, or inch with $13=1); None where the report has no such field.
+    """One report `<...>`. Positions in report units (mm, or inch with $13=1); None if the report has no such field.
 
     accessories : letters of A:, "" when overrides were reported without it (nothing is on), None when not reported
     """
@@ -201,7 +200,7 @@ class Empty:
 
 @dataclass(frozen=True, slots=True)
 class Garbled:
-    """Nothing a controller says."""
+    """A line that no controller sends."""
 
     raw: bytes
 
@@ -244,7 +243,7 @@ def parse(line: bytes) -> Reply:
     return Garbled(line)
 
 
-# Lines of other firmware, and of firmware like GRBL 1.1 that is not read here; each is refused by its name.
+# Lines of other firmware, and of firmware like GRBL 1.1 that is not supported; each is refused by name.
 _FOREIGN: tuple[tuple[re.Pattern[bytes], str], ...] = (
     (re.compile(rb"Grbl 0\.|<[A-Z]\w+,[MW]Pos:"), Phrase("GRBL 0.9 or older")),
     (re.compile(rb"Smoothie|Build version: |<[A-Z]\w+\|MPos:[-\d.,]+\|WPos:"), "Smoothieware"),
@@ -263,7 +262,7 @@ def name_foreign(line: bytes) -> str | None:
 
 
 def is_boot_text(line: bytes) -> bool:
-    """Return whether an ESP32 says this when it starts."""
+    """Return whether an ESP32 sends this line when it starts."""
     return _BOOT.match(line) is not None
 
 
@@ -343,7 +342,7 @@ def _numbers(values: dict[str, str], key: str, at_least: int) -> tuple[float, ..
 
 
 def show(text: bytes) -> str:
-    """Return a line as a person may read it."""
+    """Return a line in readable form."""
     words = text.decode("ascii", "backslashreplace")
     return words if len(words) <= 80 else words[:77] + "..."
 
@@ -368,5 +367,5 @@ class LineSplitter:
 
     @property
     def rest(self) -> bytes:
-        """Begun, not ended yet."""
+        """The bytes of an unfinished line."""
         return self._rest

@@ -3,9 +3,9 @@
 One line at a time, the next only after the answer: settings and offsets are written to EEPROM, and while that is
 written the controller hears nothing, so such lines must never be part of a counted stream.
 
-Plates are touched from above alone, or on the block's corner from above, from the left and from the front. Every move
-has an end of its own. The zeros of a corner are set in one line, when all three touches are known: a sequence that ends
-before that leaves all of them as they were.
+Plates are touched only from above, or on the block's corner from above, from the left and from the front. Every move
+has its own limit. The zeros of a corner are set in one line when all three touches are known, so a sequence that ends
+before that changes none of them.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from phrases.phrase import Phrase
 
 BACK_MM = 1.0  # from the fast touch to where the slow one begins
 SLOW_MM_PER_MIN = 25.0
-APART_MM = 0.2  # of the two touches at most: one that is farther off was something else
+APART_MM = 0.2  # between the two touches: a larger difference means that something else was touched
 _Triple = Generator[Ask | WaitStill, Answer, Triple]
 _Touch = Generator[Ask | WaitStill, Answer, tuple[Triple, bool]]
 _Length = Generator[Ask | WaitStill, Answer, float]
@@ -144,7 +144,7 @@ def _touch_corner(command: ProbeCorner, unit_mm: float) -> _Triple:
 
 
 def _lower(command: ProbeCorner, unit_mm: float) -> Generator[Ask | WaitStill, Answer, None]:
-    """Go down beside the plate; a contact on that way is none of the plate's side."""
+    """Go down beside the plate; a contact on the way down is not the plate's side."""
     down_mm = -command.retract_mm - command.below_mm
     _, touched = yield from _probe("G38.3", "Z", down_mm, command.feed_mm_per_min, unit_mm)
     if touched:
@@ -189,13 +189,13 @@ def _probe(code: str, axis: str, by_mm: float, feed_mm_per_min: float, unit_mm: 
 
 
 def _go(axis: str, to_mm: float) -> Generator[Ask | WaitStill, Answer, None]:
-    """Go straight to a machine coordinate, and stand there."""
+    """Go straight to a machine coordinate, and wait for standstill."""
     require_ok((yield Ask(f"G21G90G53G0{axis}{to_mm:.4f}".encode(), BLOCK_S)))
     require_ok((yield WaitStill()))
 
 
 def _stand() -> _Triple:
-    """Return where the mill stands, in machine coordinates."""
+    """Return the position of the standing mill in machine coordinates."""
     still = require_ok((yield WaitStill()))
     if still.machine_mm is None:
         raise SequenceFailedError(Phrase("the controller reports no machine position: no zero is set"))
@@ -227,7 +227,7 @@ def _read_probe(answer: Answer, unit_mm: float) -> tuple[Triple, bool]:
 
 
 def identify(banner: str) -> CommandSequence:
-    """Ask $I, $$, $#, $G: who is there and how it is set. Moves nothing, changes nothing."""
+    """Query $I, $$, $#, $G: the controller's identity and settings. Moves nothing, changes nothing."""
     heard: list[replies.Reply] = []
     version = Answer(Phrase("not asked"))
     for _ in range(3):
@@ -250,7 +250,7 @@ def identify(banner: str) -> CommandSequence:
 
 
 def read_again(settings: ControllerSettings) -> CommandSequence:
-    """Ask again for what may have changed since the handshake: $$, $#, $G."""
+    """Query again what may have changed since the handshake: $$, $#, $G."""
     heard = [*(yield from ask_twice(b"$$", "$")), *(yield from ask_twice(b"$#", OFFSET_TAG))]
     heard += yield from ask_twice(b"$G", PARSER_TAG)
     reported = read_settings(heard)

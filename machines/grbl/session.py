@@ -51,7 +51,9 @@ HAIL_S = 0.25  # between status requests while nobody has answered
 
 @dataclass(slots=True, eq=False)
 class Transmitter:
-    """Gives the bytes to write, as few at a time as keep the wire busy: a realtime byte waits behind no more."""
+    """Gives the bytes to write, only as many at a time as keep the wire busy, so that a realtime byte waits behind no
+    more than these.
+    """
 
     link: GrblLink
     streamer: Streamer
@@ -62,7 +64,7 @@ class Transmitter:
     pacer: Pacer
 
     def poll(self, now_s: float) -> None:
-        """Put a reset and a '?' on their way where they are due."""
+        """Queue a reset and a '?' when they are due."""
         link, stream, reset = self.link, self.streamer.stream, self.resets.sequence
         if reset is not None:
             link.urgent += reset.take(now_s)
@@ -88,7 +90,7 @@ class Transmitter:
         return link.options.run_poll_s if link.phase is Phase.STREAMING else link.options.poll_s
 
     def take_output(self, now_s: float) -> bytes:
-        """Return the bytes to write now, those that act at once first. May wait for the disk of the program."""
+        """Return the bytes to write now, realtime bytes first. May wait for the disk of the program."""
         stream = self._stream_to_send
         program = self._take_program(stream, now_s) if stream is not None else b""
         return self.take_urgent(now_s) + program
@@ -136,7 +138,7 @@ class Transmitter:
 
     @property
     def next_deadline_s(self) -> float:
-        """When `poll` and `take_output` want to be called at the latest."""
+        """The latest time for the next call of `poll` and `take_output`."""
         stream, reset = self.streamer.stream, self.resets.sequence
         due_s = self.link.poll_at_s
         if reset is not None and reset.due_s < due_s:
@@ -243,7 +245,7 @@ class GrblSession:
             self.commands.take_answer(error, now_s)
         elif self.link.phase is Phase.STREAMING:
             self._monitor.take_answer(error, now_s)
-        else:  # to a line of a program that is being stopped, or of a command that a hold has ended
+        else:  # the answer to a line of a program that is being stopped, or of a command that a hold has ended
             self.commands.held_line = ""
             self.streamer.take_late_answer(error)
 
@@ -266,7 +268,7 @@ class GrblSession:
             self._watch(now_s)
 
     def _watch(self, now_s: float) -> None:
-        """Look at the clock, for what time alone shows."""
+        """Check the clock for faults that only time shows."""
         link, phase = self.link, self.link.phase
         link.silence.look(now_s)
         silent = phase in (Phase.HAILING, Phase.STOPPING) and link.silence.silent_s >= OFFER_S
@@ -281,7 +283,7 @@ class GrblSession:
             self.stops.watch(now_s)
 
     def output(self, now_s: float) -> bytes:
-        """Return bytes to write now, those that act at once first."""
+        """Return the bytes to write now, realtime bytes first."""
         return self._transmitter.take_output(now_s)
 
     def urgent_output(self, now_s: float) -> bytes:
@@ -290,7 +292,7 @@ class GrblSession:
 
     @property
     def next_deadline_s(self) -> float:
-        """When `tick` and `output` want to be called at the latest."""
+        """The latest time for the next call of `tick` and `output`."""
         if self.link.phase is Phase.CLOSED:
             return inf
         return min(self._transmitter.next_deadline_s, self.link.watch_at_s)
@@ -314,7 +316,7 @@ class GrblSession:
         self._monitor.begin()
 
     def take_back_start(self, now_s: float) -> None:
-        """Take back a start of which no byte has been written."""
+        """Undo a start of which no byte has been written."""
         if self.link.phase is Phase.STREAMING:
             self.streamer.stream = None
             self.link.enter(Phase.READY, now_s)

@@ -34,7 +34,7 @@ OFFSET_TAGS = frozenset({"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerSettings:
-    """Parsed answers. Triples are X, Y, Z; None where the controller does not say.
+    """Parsed answers. Triples are X, Y, Z; None if the controller does not say.
 
     values  : $n -> text as reported
     offsets : "G54" ... "G59", "G28", "G30", "G92" -> triple in mm; "TLO" -> (0, 0, length)
@@ -137,7 +137,7 @@ class ControllerSettings:
 
     @property
     def option_letters(self) -> str | None:
-        """Letters of [OPT:]; None where the controller does not say."""
+        """Letters of [OPT:]; None if the controller does not say."""
         return self.options.partition(",")[0] if self.options else None
 
     @property

@@ -10,7 +10,7 @@ from phrases.phrase import Phrase
 
 
 class Phase(Enum):
-    """What the session is busy with."""
+    """The phases of a session."""
 
     CLOSED = "closed"  # no link, or given up
     HAILING = "hailing"  # '?' until a status report comes back; nothing else is sent
@@ -36,7 +36,7 @@ MOVES: dict[Phase, frozenset[Phase]] = {
 FROM_EVERYWHERE = frozenset({Phase.CLOSED, Phase.HAILING})
 
 
-# A program goes on from these when a person says so.
+# A program continues from these states when a person resumes it.
 HELD_STATES = frozenset({"Hold", "Door", "Sleep", "Tool"})
 
 

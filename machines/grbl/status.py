@@ -1,4 +1,4 @@
-"""What a session reports of itself: state, status, facts, protections. Changes nothing."""
+"""The reports of a session: state, status, facts, protections. Changes nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from phrases.phrase import NO_WORDS, Phrase
 
 @dataclass(slots=True, eq=False)
 class StatusReporter:
-    """Words and figures for the operator, from what the parts of a session know."""
+    """Words and figures for the operator, from the parts of a session."""
 
     link: GrblLink
     streamer: Streamer
@@ -113,7 +113,7 @@ class StatusReporter:
         return detail_words(view.report) if view.report else Phrase("")
 
     def slow_link_words(self) -> Phrase:
-        """Return what a slow link means for a program; NO_WORDS if the link is not slow."""
+        """Describe the effect of a slow link on a program; NO_WORDS if the link is not slow."""
         round_trip_s = self.link.silence.round_trip_s
         if round_trip_s < SLOW_LINK_S:
             return NO_WORDS

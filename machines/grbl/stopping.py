@@ -1,7 +1,7 @@
-"""How the mill is stopped: '!' before everything else, a reset only at standstill: in motion it loses the position.
+"""Stops the mill: '!' before everything else, and a reset only at standstill, because in motion it loses the position.
 
-Nothing that is not written yet may start motion after a stop. A reset goes out again until the banner: one that nobody
-has answered is none.
+After a stop, nothing that is not written yet may start motion. A reset is repeated until the banner comes: an
+unanswered reset does not count.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BUSY_S = 0.05  # between status requests while the mill is being stopped
 RESET = b"\x18"
 # After ALARM:1 and ALARM:2 GRBL 1.1 stands still for 500 ms, forgets a reset that came meanwhile, says so and waits.
 MESSAGE = "Reset to continue"
-MESSAGE_S = 0.6  # where the message is lost on the way
+MESSAGE_S = 0.6  # in case the message is lost on the way
 AGAIN_S = 0.25
 SLOW_AFTER_S, SLOW_S = 10.0, 1.0  # an emergency stop that is still pressed, a mill without power: ask less often
 
@@ -42,17 +42,17 @@ class ResetSequence:
 
     @staticmethod
     def at_standstill(now_s: float) -> ResetSequence:
-        """Reset once: where no banner comes, the session looks again whether the mill stands."""
+        """Reset once; if no banner comes, the session checks again whether the mill stands."""
         return ResetSequence(now_s)
 
     @staticmethod
     def after_critical_alarm(now_s: float) -> ResetSequence:
-        """Reset when the controller has said that it waits for one, or must have; then until it hears."""
+        """Reset when the controller has reported that it waits, or must have done so; repeat until it reacts."""
         return ResetSequence(now_s, first_s=MESSAGE_S, again_s=AGAIN_S)
 
     @staticmethod
     def by_a_person(now_s: float) -> ResetSequence:
-        """Reset a controller that answers nothing: whether it stands is not known, so the position is not kept."""
+        """Reset a silent controller: it is not known whether the mill stands, so the position is not kept."""
         return ResetSequence(now_s, again_s=AGAIN_S, ours=False)
 
     @property
@@ -60,7 +60,7 @@ class ResetSequence:
         return self._again_s < inf
 
     def take_message(self, now_s: float) -> None:
-        """Note that the controller says that it waits."""
+        """Note the controller's message that it waits for a reset."""
         if self.repeats:
             self.due_s = now_s
 
@@ -88,7 +88,7 @@ class ResetControl:
         return self._sequence if self.link.phase is Phase.CLEARING else None
 
     def begin(self, sequence: ResetSequence, now_s: float) -> None:
-        """Put a reset on its way, or another one in its place. Of what waits to be written only '!' goes before it."""
+        """Start a reset, or replace the present one. Of the bytes waiting to be written, only '!' is sent before it."""
         link = self.link
         self.streamer.end()
         link.text.clear()
@@ -99,7 +99,7 @@ class ResetControl:
         link.poll_at_s = now_s + BUSY_S
 
     def begin_for_person(self, now_s: float) -> None:
-        """Carry out a reset that a person asks for: of a mill that stands, or of one that answers nothing."""
+        """Carry out a person's reset of a mill that stands, or of one that does not answer."""
         reset = ResetSequence.by_a_person if self.link.offers_reset else ResetSequence.at_standstill
         self.begin(reset(now_s), now_s)
 
@@ -146,7 +146,7 @@ HELD = Phrase("a hold interrupted it; it is not continued")
 
 @dataclass(slots=True, eq=False)
 class StopControl:
-    """Brings the mill to rest: hold, fault, abort, alarm. Owns what it knows of the hold sent last."""
+    """Brings the mill to rest: hold, fault, abort, alarm. Keeps the state of the last hold."""
 
     link: GrblLink
     streamer: Streamer
@@ -162,16 +162,16 @@ class StopControl:
 
     @property
     def is_quiet(self) -> bool:
-        """Nothing moves, and nothing that was sent can make it move."""
+        """Whether nothing moves, and nothing that was sent can start motion."""
         link, report = self.link, self.link.view.report
         if link.phase not in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING) or report is None:
             return False
         return report.state == "Alarm" or (report.state == "Idle" and not link.hold_under_way)
 
-    # ------------------------------------------------------------------ asked for by a person
+    # ------------------------------------------------------------------ orders of a person
 
     def hold(self, now_s: float) -> None:
-        """Stop motion. What is not written yet is dropped; a command is ended; a program waits for a resume."""
+        """Stop motion. Unwritten bytes are dropped, a command is ended, and a program waits for a resume."""
         link = self.link
         link.hold_wanted = link.phase is not Phase.CLEARING
         if link.phase in (Phase.CLOSED, Phase.CLEARING):
@@ -188,7 +188,7 @@ class StopControl:
         self._hold_at_s = link.poll_at_s = now_s
 
     def resume(self, now_s: float) -> None:
-        """Let the mill go on that is held, or that waits for a person."""
+        """Resume a mill that is held or waits for a person."""
         link, state, report = self.link, self.reporter.state, self.link.view.report
         ready = link.phase in (Phase.HAILING, Phase.READY, Phase.COMMAND, Phase.STREAMING) and report is not None
         if not ready or state not in (MillState.HELD, MillState.TOOL, MillState.DOOR):
@@ -209,13 +209,13 @@ class StopControl:
             link.paused = False
             return
         link.urgent += (TOOL_DONE if report.state == "Tool" else b"") + (b"" if b"~" in link.urgent else b"~")
-        link.poll_at_s = min(link.poll_at_s, now_s + RESUME_POLL_S)  # nobody who presses often postpones it
+        link.poll_at_s = min(link.poll_at_s, now_s + RESUME_POLL_S)  # repeated presses must not postpone it
 
     def abort(self, now_s: float, *, hold_sent: bool = False) -> None:
         """Hold, and when the mill stands clear the controller's buffers; ends with Stopped.
 
-        hold_sent : a '!' has left already that may still be on its way. It holds an idle controller too, and one that
-                    has just been reset: the abort is not over before a report has shown that none is held.
+        hold_sent : a '!' has been sent that may still be under way. It also holds an idle controller, or one that was
+        just reset, so the abort is not complete until a report shows no hold.
         """
         link = self.link
         if hold_sent:
@@ -227,7 +227,7 @@ class StopControl:
         if link.phase is Phase.HAILING and link.view.report is None:
             self.abort_wanted = link.hold_wanted = True
             self._note_hold()
-            link.put_hold()  # a mill that is not heard may hear
+            link.put_hold()  # a mill that does not answer may still receive
             if link.offers_reset:
                 self.resets.begin(ResetSequence.by_a_person(now_s), now_s)
             return
@@ -246,11 +246,11 @@ class StopControl:
         self._begin_stop(now_s)
 
     def _note_hold(self) -> None:
-        """Note that reports which are under way now say nothing of this hold."""
+        """Note that reports under way now do not show this hold yet."""
         self.link.hold_reports = -self.link.reports_under_way
 
     def _hold_command(self, now_s: float) -> None:
-        """End a command, for a held controller reads no line; the handshake begins anew when the mill is let go."""
+        """End a command, because a held controller reads no lines; the handshake restarts when the mill is resumed."""
         if self.link.phase is Phase.IDENTIFYING:
             self._greet_again(now_s)
         else:
@@ -268,7 +268,7 @@ class StopControl:
         self.link.view.lose_position()
         self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
 
-    # ------------------------------------------------------------------ shown by the controller
+    # ------------------------------------------------------------------ events from the controller
 
     def raise_fault(self, cause: FaultCause, words: Phrase, line: int, now_s: float, *, alarm: int = 0) -> None:
         """End the program for a fault, '!' before anything else. The first sign counts."""
@@ -279,7 +279,9 @@ class StopControl:
         self._begin_stop(now_s)
 
     def take_alarm(self, number: int, now_s: float) -> None:
-        """End what an alarm ends; after a critical one begin the reset that alone is heard then."""
+        """End everything that an alarm ends; after a critical alarm begin a reset, which is all that the controller
+        accepts then.
+        """
         link, words = self.link, alarm_words(number)
         link.view.take_alarm(number)
         if link.phase is Phase.IDENTIFYING:
@@ -291,7 +293,7 @@ class StopControl:
         else:
             link.events.append(Notice(words))
         if number in CRITICAL_ALARMS:
-            # Stands already and will hear nothing but a new reset; what it holds must not survive.
+            # It already stands and only accepts a new reset; its buffer must be cleared.
             self.resets.begin(ResetSequence.after_critical_alarm(now_s), now_s)
 
     def take_report(self, report: Status, now_s: float) -> None:
@@ -311,7 +313,7 @@ class StopControl:
             self._settle(report, now_s)
 
     def watch(self, now_s: float) -> None:
-        """Look at the clock while a stop or a reset is under way."""
+        """Check the clock while a stop or a reset is under way."""
         if self.link.phase is Phase.STOPPING:
             self._watch_stop(now_s)
         elif self.resets.watch(now_s):
@@ -340,7 +342,7 @@ class StopControl:
         self._hold_at_s = now_s
 
     def _note_no_hold(self, report: Status, now_s: float) -> None:
-        """Handle a mill that moves after a hold: somebody pressed cycle start, or the '!' was lost.
+        """Handle a mill that moves after a hold: cycle start was pressed, or the '!' was lost.
 
         It may have finished its motion before the next report: then it stands Idle.
         """
@@ -354,7 +356,7 @@ class StopControl:
             self._hold_again(now_s)
 
     def _settle(self, report: Status, now_s: float) -> None:
-        """Find out, while stopping, whether it is certain that the mill stands."""
+        """While stopping, determine whether the mill certainly stands."""
         stream, position = self.streamer.stream, self.link.view.work_mm
         if stream is not None and position is not None and report.state in ("Run", "Hold"):
             stream.tracker.take_report(position)

@@ -1,4 +1,4 @@
-"""Watches a program under way: answers, echoes, reports and silence, each held against what was sent."""
+"""Monitors a program under way: compares answers, echoes, reports and silence with what was sent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DONE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its 
 
 @dataclass(slots=True, eq=False)
 class StreamMonitor:
-    """Finds the first sign of a fault, and the end of a program. Owns the signs by which a mill is known to go on.
+    """Finds the first sign of a fault, and the end of a program. Keeps the signs of progress.
 
     A sign is an answer, a new position, a step proven or a hold; its time is the link's (SilenceClock.heard_s).
     """
@@ -34,15 +34,15 @@ class StreamMonitor:
     _idle_reports: int = 0  # Idle with nothing unanswered
     _standing_reports: int = 0  # Idle in a row, with no answer between
     _standing_heard_s: float = 0.0  # when the first of them came
-    _lone_s: float | None = None  # when a line was sent to a mill that stood and had none: its answer measures the way
+    _lone_s: float | None = None  # when a line was sent to an idle mill: its answer measures the round trip
     _full_reports: int = 0  # in a row, with more bytes in the receive buffer than may be there
 
     def note_sign(self) -> None:
-        """Begin anew to wait for a sign."""
+        """Restart the wait for a sign."""
         self._sign_heard_s = self.link.silence.heard_s
 
     def note_sent(self) -> None:
-        """Begin to wait for an answer: lines were sent where none was under way."""
+        """Start waiting for an answer: lines were sent while none was under way."""
         self.note_sign()
         self._lone_s = self.link.silence.spent_s if self._standing_reports else None
         self._standing_reports = 0
@@ -53,7 +53,7 @@ class StreamMonitor:
         self._idle_reports = self._full_reports = 0
 
     def take_ok(self, stream: Stream) -> None:
-        """Take an `ok` that can be nothing else: the short way, for nearly every line that a controller says."""
+        """Take an unmistakable `ok`: the fast path for nearly every line from a controller."""
         self._note_answer(stream)
         stream.take_answer()
 
@@ -88,7 +88,7 @@ class StreamMonitor:
             stream.take_answer()
 
     def take_echo(self, text: bytes, now_s: float) -> None:
-        """Compare a line as the controller has read it with the oldest line under way."""
+        """Compare an echo, the line as the controller has read it, with the oldest line under way."""
         if self.link.phase is not Phase.STREAMING:
             self.streamer.echoes = True
             return
@@ -110,7 +110,7 @@ class StreamMonitor:
             self.streamer.echoes = stream.echoed = True
 
     def take_garbled(self, raw: bytes, now_s: float) -> None:
-        """End the program for a line that no controller says."""
+        """End the program because of a line that no controller sends."""
         if self.link.phase is Phase.STREAMING:
             words = Phrase("'{text}' is not a reply that a controller sends: it was damaged on the way", text=show(raw))
             if is_boot_text(raw):
@@ -120,7 +120,7 @@ class StreamMonitor:
             self.link.events.append(Notice(Phrase("not understood: '{text}'", text=show(raw))))
 
     def note_report(self, report: Status, now_s: float, *, moved: bool) -> None:
-        """Take the signs from a report, in every phase."""
+        """Note the signs in a report, in every phase."""
         if moved or report.state in HELD_STATES:  # waiting for a person is not a stall
             self.note_sign()
         if self.streamer.stream is not None:
@@ -133,7 +133,7 @@ class StreamMonitor:
             self._standing_heard_s = self.link.silence.heard_s
 
     def compare(self, report: Status, now_s: float) -> None:
-        """Compare a report with the program under way: on the path, off it, done?"""
+        """Compare a report with the program under way: is the mill on the path, off it, or done?"""
         stream = self._stream
         if report.state in ("Alarm", "Sleep") and not self.link.view.alarm:
             words = Phrase("the controller reports '{state}' in the middle of a program", state=report.state)
@@ -220,7 +220,7 @@ class StreamMonitor:
         self.link.events.append(ProgramDone())
 
     def watch(self, now_s: float) -> None:
-        """Look at the clock: is the mill silent, is a count of the answers due, is a sign overdue?"""
+        """Check the clock: is the mill silent, is a count of the answers due, is a sign overdue?"""
         link, stream, silence = self.link, self._stream, self.link.silence
         silent_s = silence.silent_s
         if silent_s > REPORT_SILENCE_S:

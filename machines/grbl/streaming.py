@@ -54,7 +54,7 @@ class Stream:
         self.count = count
 
     def fill(self, budget: int) -> bytes:
-        """Return at most `budget` bytes to write now. Raises MachineError where the program cannot go on."""
+        """Return at most `budget` bytes to write now. Raises MachineError if the program cannot go on."""
         out = self._rest
         window = self.window
         while len(out) < budget and not self._alone and not self.count.closed:

@@ -1,12 +1,12 @@
-"""What has certainly been executed, and whether the mill is where the program can have brought it.
+"""Finds what has certainly been executed, and whether the mill is where the program can have brought it.
 
 `ok` means parsed and queued: the controller may still hold that line in its planner and in its segment buffer. A line
 counts as executed only when
-(a) so many *blocks of motion* were answered after it that no buffer can hold it any more. Lines that move nothing take
-    no place in any buffer: they prove nothing; or
-(b) a line was answered that always waits for all motion before it: a dwell, M2, M30. But M5, M3, M9 or G54 wait only
-    where they change something, and what they change the controller knows better than we; or
-(c) a reported position lies on no earlier line than the next one; where it fits several, the earliest is believed.
+(a) so many *blocks of motion* were answered after it that no buffer can still hold it. Lines that move nothing take no
+place in any buffer and prove nothing; or
+(b) a line was answered that always waits for all motion before it: a dwell, M2, M30. M5, M3, M9 and G54 do not count:
+they wait only if they change something, which only the controller knows; or
+(c) a reported position lies on no earlier line than the next one; if it fits several, the earliest is assumed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ BEHIND = 4
 
 
 class Place(Enum):
-    """Where a reported position lies."""
+    """The relation of a reported position to the path."""
 
     ON_PATH = "on the path"
     UNTOLD = "no step to compare with"
@@ -52,7 +52,7 @@ class Sight:
 
 
 def _apart_mm(a: Position, b: Position) -> float:
-    """Return the distance along the axes that both tell."""
+    """Return the distance along the axes that both positions have."""
     return sum((q - p) ** 2 for p, q in zip(a, b, strict=True) if p is not None and q is not None) ** 0.5
 
 
@@ -73,7 +73,7 @@ class Tracker:
         segments: int = SEGMENTS["grbl"],
         least_block_mm: float = 0.02,
     ) -> None:
-        """least_block_mm: a shorter move may be no step of any axis, and then no block."""
+        """least_block_mm: a shorter move may be less than a step of every axis, and then makes no block."""
         self.executed_line = 0
         self._steps: deque[tuple[int, Step]] = deque()  # from the first not proven executed to the last sent
         self._recent: deque[tuple[int, Step]] = deque(maxlen=REMEMBERED)
@@ -82,8 +82,8 @@ class Tracker:
         self._dropped = 0  # steps that are no longer in _steps
         self._answered_line = 0
         self._least_block_mm = least_block_mm
-        self._crept_from_mm: Position | None = None  # where moves too short for a block of their own began
-        self._counted_line = 0  # executed by (a) and (b) alone
+        self._crept_from_mm: Position | None = None  # start of a series of moves too short for blocks of their own
+        self._counted_line = 0  # executed according to (a) and (b) alone
         self._usual_beyond = self._beyond = planner_blocks + LONG_BLOCKS_BEYOND_PLANNER
         self._short_beyond = planner_blocks + segments + 1
         self._short_s = SHORT_S_PER_SEGMENT * segments
@@ -123,7 +123,7 @@ class Tracker:
                 self._drop(place - self._dropped)
 
     def _makes_block(self, step: Step) -> bool:
-        """Say whether this move, with the too short ones before it, has brought the axes a step further for certain."""
+        """Return whether this move, with the too short ones before it, has certainly moved an axis by a step."""
         if step.length_mm < self._least_block_mm:
             begin = self._crept_from_mm or step.start_mm
             if _apart_mm(begin, step.end_mm) < self._least_block_mm:
@@ -139,9 +139,10 @@ class Tracker:
         self._drop(self._answered)
 
     def distrust_positions(self) -> None:
-        """Let only counts prove anything from now on: a position was off the path, from which line on is not known.
+        """From now on, let only counts prove anything: a position was off the path, and the line at which that began is
+        not known.
 
-        A damaged block may have crossed later lines by chance, and been taken for them.
+        A damaged block may have crossed later lines by chance and been mistaken for them.
         """
         self.executed_line = min(self.executed_line, self._counted_line)
         self._distrusted = True
@@ -187,7 +188,7 @@ class Tracker:
         if before is not None and before.distance_mm <= self.tolerance_mm:
             return Sight(Place.ON_PATH, before.line, before.distance_mm)
         if before is None and not any(step.moves for step in self.unproven_answered):
-            return Sight(Place.UNTOLD)  # nothing has run yet: the mill stands by chance on a later line
+            return Sight(Place.UNTOLD)  # nothing has run yet: the mill is on a later line by chance
         if index == self._answered:
             # The first unanswered line may be under way: an arc is answered when its last chord is queued.
             self._drop(index)
@@ -195,9 +196,9 @@ class Tracker:
         return Sight(Place.UNANSWERED, number, away_mm)
 
     def take_standstill(self, position_mm: Triple, *, exact_mm: float) -> None:
-        """Count the one answered line as cut at whose end, and on no other, the mill stands and will not go on.
+        """Count as cut the one answered line at whose end the mill stands for good, if that place is on no other line.
 
-        Nothing is concluded where another step under way, but for the one that begins there, comes near that place.
+        Conclude nothing if another step under way, except the one that begins there, comes near that place.
         """
         if self._distrusted:
             return
@@ -213,7 +214,7 @@ class Tracker:
         (found,) = ends
         behind = next((k for k in range(found + 1, len(steps)) if steps[k][1].moves), None)
         if behind is not None and _apart_mm(position_mm, steps[behind][1].end_mm) <= self.tolerance_mm:
-            return  # that one may just as well have come back
+            return  # the mill may have come back by that one
         others = [step for index, (_, step) in enumerate(steps) if index not in (found, behind)]
         others += [step for _, step in islice(reversed(self._recent), BEHIND)]
         if not any(step.moves and step.distance_mm(position_mm) <= self.tolerance_mm for step in others):
@@ -241,7 +242,9 @@ class Tracker:
         return tuple(step for _, step in islice(self._steps, self._answered))
 
     def last_sent_s(self, blocks: int, feed_percent: int) -> float:
-        """Return the least time the last steps sent, as many as fit into the planner, keep the mill moving."""
+        """Return the least time for which the last steps sent keep the mill moving; only those that fit into the
+        planner count.
+        """
         total_s = 0.0
         for _, step in islice(reversed(self._steps), blocks):
             feed = step.feed_mm_per_min

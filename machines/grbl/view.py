@@ -1,4 +1,4 @@
-"""What is known of the machine from its reports: positions in mm, overrides, and whether they can be trusted."""
+"""The state of the machine from its reports: positions in mm, overrides, and whether the position can be trusted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _REPORTS_TO_ALL = 40  # by then GRBL has reported every field twice; a firmware 
 def has_kept_count(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm: float) -> bool:
     """Return whether a mill that stood at `before_mm` and stands at `now_mm` has certainly kept its count.
 
-    It has if both are the same place, and not 0,0,0: from there a controller counts that has lost its power.
+    It has if both positions are the same and not 0,0,0, from which a controller counts after a power loss.
     """
     if before_mm is None or now_mm is None:
         return False
@@ -23,22 +23,22 @@ def has_kept_count(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm
 
 
 class MachineView:
-    """Fed with reports; forgets with every epoch what an epoch ends."""
+    """Updated by reports; a new epoch clears the state that does not survive a restart."""
 
     def __init__(self) -> None:
         self.settings = ControllerSettings()
         self.identified = False
         self.report: Status | None = None
         self.reports = 0
-        self.alarm = 0  # number of the alarm that stands, 0 for none
-        self.locked_by = 0  # the same, beyond the banner that ends it: as long as the controller stays locked
+        self.alarm = 0  # number of the present alarm, 0 for none
+        self.locked_by = 0  # the same, but kept after the banner, as long as the controller stays locked
         self.work_offset: Triple | None = None  # report units
-        self.modes = ""  # [GC:] words, or what the last program has left
+        self.modes = ""  # words of [GC:], or the modes that the last program has left
         self.overrides = (100, 100, 100)
         self.override_reports = 0  # reports with Ov so far
         self.spindle_on: bool | None = None
         self.spindle_stopped = False  # by an alarm; no report has shown it since
-        self.rx_empty: int | None = None  # most bytes of room that Bf: has reported: the buffer was empty then
+        self.rx_empty: int | None = None  # most free bytes that Bf: has reported: the buffer was empty then
         self._vouched: set[str] = set()
         self._stood_mm: Triple | None = None  # where the mill stood before the last banner
         self._kept_by_reset = False  # that banner answers a reset of ours
@@ -54,7 +54,7 @@ class MachineView:
         self._vouched.clear()
 
     def begin_epoch(self, *, position_kept: bool) -> None:
-        """Forget what a banner ends. position_kept: it answers a reset of ours, sent to a mill that stands."""
+        """Clear the state that a banner ends. position_kept: it answers our own reset of a mill at standstill."""
         report = self.report
         sure = report is not None and stands(report) and report.state != "Sleep"
         self._stood_mm = self.machine_mm if sure and self.alarm not in POSITION_LOST_ALARMS else None
@@ -69,10 +69,10 @@ class MachineView:
             self.lose_position()
 
     def judge_place(self) -> bool:
-        """Say with the first report after a banner whether machine coordinates still mean what they meant.
+        """Judge with the first report after a banner whether machine coordinates are unchanged.
 
         The same place as before, not zero, proves it: a controller that lost its power counts from 0,0,0. Another place
-        disproves it, also after a reset of ours.
+        disproves it, even after our own reset.
         """
         before, now = self._stood_mm, self.machine_mm
         tolerance_mm = max(self.settings.step_mm or (0.01,)) + self.report_step_mm
@@ -86,7 +86,9 @@ class MachineView:
         return kept
 
     def take_settings(self, settings: ControllerSettings) -> tuple[str, ...]:
-        """Take settings that were read again. Return changed ones of the frame: the position is not trusted then."""
+        """Take settings that were read again. Return the changed settings of the frame; if there are any, the position
+        is not trusted.
+        """
         changes = list_frame_changes(self.settings.values, settings.values)
         if changes:
             self.lose_position()
@@ -96,7 +98,7 @@ class MachineView:
 
     @property
     def waits_for_fields(self) -> bool:
-        """Fields that come only with every tenth report or so are still to come."""
+        """Whether fields are missing that come only with about every tenth report."""
         return self.work_offset is None or (self.spindle_on is None and self.reports < _REPORTS_TO_ALL)
 
     def take_alarm(self, number: int) -> None:
@@ -107,7 +109,7 @@ class MachineView:
             self.spindle_on, self.spindle_stopped = False, True
 
     def take(self, report: Status) -> bool:
-        """Take a report; say whether it shows another place than the one before."""
+        """Take a report; return whether its position differs from that of the one before."""
         before = self.report
         moved = before is None or (before.machine, before.work) != (report.machine, report.work)
         self.report = report
@@ -129,7 +131,7 @@ class MachineView:
 
     @property
     def rx_used(self) -> int | None:
-        """Bytes of lines in the controller's receive buffer, by the latest report; None where it has no Bf:."""
+        """Bytes of lines in the controller's receive buffer, by the latest report; None if it has no Bf:."""
         report = self.report
         if report is None or report.buffer is None or self.rx_empty is None:
             return None
@@ -183,6 +185,6 @@ class MachineView:
 
     @property
     def exact_mm(self) -> float:
-        """How far a report of a mill that stands at a point may be from that point: a step and the last digit."""
+        """How far the reported position of a standing mill may be from its true one: a step and the last digit."""
         steps = self.settings.step_mm or (0.01, 0.01, 0.01)
         return 1.7321 * self.report_step_mm + 0.5 * sum(step * step for step in steps) ** 0.5

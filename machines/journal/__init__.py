@@ -1,1 +1,1 @@
-"""What is known of a run, on disk, and still readable after the power failed."""
+"""The journal of a run on disk, readable after a power failure."""

@@ -1,4 +1,4 @@
-"""The disk under a journal, and when it makes things safe. Tests put one here that loses power."""
+"""The disk under a journal, and its syncing. Tests use one that loses power."""
 
 from __future__ import annotations
 
@@ -36,30 +36,30 @@ class Disk(Protocol):
 
 
 class Syncer(Protocol):
-    """Calls `File.sync` in time. `failure` in words once one failed, until the next `take`."""
+    """Calls `File.sync` in time. `failure` has the words of a failed sync until the next `take`."""
 
     @property
     def failure(self) -> str: ...
     def take(self, file: File, when_safe: Callable[[], None]) -> None:
-        """Look after this file from now on; `when_safe` is called after the first good sync."""
+        """Sync this file from now on; `when_safe` is called after its first successful sync."""
         ...
 
     def note_written(self) -> None: ...
     def sync(self) -> None:
-        """Wait until everything written is safe, or `failure` says why not."""
+        """Wait until everything written is safe, or `failure` has the reason why it is not."""
         ...
 
     def hasten(self) -> None:
-        """Let everything written be made safe soon, without waiting for it."""
+        """Request a sync soon, without waiting for it."""
         ...
 
     def let_go(self) -> None:
-        """Make the file safe and close it, without waiting where that can take time."""
+        """Sync and close the file, without waiting if that can take time."""
         ...
 
 
 class RealFile:
-    """Unbuffered: what was written survives the end of the process at once."""
+    """Unbuffered: everything written survives the end of the process."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o600)
@@ -102,7 +102,7 @@ def _describe_stall(waited_s: float) -> str:
 
 
 class ThreadSyncer:
-    """One thread per journal that is written. A disk that takes seconds for an fsync delays nobody but itself.
+    """One thread per journal. A disk that takes seconds for an fsync delays only this thread.
 
     timeout_s : of running time, until the disk counts as stalled; its owner reads `failure` many times a second
     """
@@ -118,10 +118,10 @@ class ThreadSyncer:
         self._clock = clock
         self._lock = threading.Condition()
         self._file: File | None = None
-        self._left: list[File] = []  # let go, to be made safe and closed
+        self._left: list[File] = []  # released files that must still be synced and closed
         self._when_safe: Callable[[], None] | None = None
         self._written = self._safe = 0  # counts of writes
-        self._waiting: Timeout | None = None  # for everything written to be safe
+        self._waiting: Timeout | None = None  # until everything written is safe
         self._failure = ""
         self._urgent = False
         self._thread: threading.Thread | None = None
@@ -162,7 +162,7 @@ class ThreadSyncer:
                 if timeout.is_over:
                     self._failure = _describe_stall(timeout.waited_s)
                 self._lock.wait(min(LOOK_S, self._timeout_s) / 2.0)
-            assert file is self._file  # one thread writes and syncs; only the waiting is shared
+            assert file is self._file  # one thread writes and syncs; only waiting is shared
 
     def hasten(self) -> None:
         with self._lock:
@@ -170,7 +170,7 @@ class ThreadSyncer:
             self._lock.notify_all()
 
     def let_go(self) -> None:
-        """Leave what is left to the thread: a caller that stops a mill must not wait for a disk."""
+        """Leave the rest to the thread: a caller that stops a mill must not wait for a disk."""
         with self._lock:
             if self._file is not None:
                 self._left.append(self._file)
@@ -197,12 +197,12 @@ class ThreadSyncer:
         with self._lock:
             left = self._left.pop(0) if self._left else None
         if left is not None:
-            with contextlib.suppress(OSError):  # of no use to anybody: the reader will see what is there
+            with contextlib.suppress(OSError):  # ignored: the reader will see what is on disk
                 left.sync()
             left.close()
 
     def _take_next(self) -> tuple[File, Callable[[], None] | None, int] | None:
-        """Return what to sync next: at once where somebody waits for it, else a while after it was written."""
+        """Return the next file to sync: at once if a caller waits for it, else a while after it was written."""
         me = threading.current_thread()
         with self._lock:
             self._lock.wait_for(lambda: self._thread is not me or self._written > self._safe)

@@ -1,13 +1,13 @@
-"""What is known of a run, on disk: append-only, checksummed, and still readable after the power failed.
+"""The journal of a run on disk: append-only, checksummed, and readable after a power failure.
 
 A journal is a folder of files journal-000001.log ...; each line is `crc32 json`. Every record carries a sequence number
 and the fields that changed; the state is all records laid over each other. The first record of a file holds the whole
 state, so that one file is enough: an older one is deleted only after the newer one is safe on disk. Reading stops at
-the first line that is not whole; what is lost that way is the end of the story, and a run that is resumed from an
-earlier point cuts some segments twice, but skips none.
+the first incomplete line. Only the latest records are lost that way; a run that is resumed from an earlier point cuts
+some segments twice but skips none.
 
-Appending does not wait for the disk: fsync runs on a timer, in a thread of its own. A failure there shows itself at the
-next append, as JournalError.
+Appending does not wait for the disk: fsync runs on a timer, in a thread of its own. A failure there appears at the next
+append, as JournalError.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class JournalContent:
 
 
 def encode(record: Mapping[str, Any]) -> bytes:
-    """Encode one line of a journal; its phrases with what they are made of."""
+    """Encode one line of a journal; phrases with their templates and values."""
     phrases = phrases_in(record)
     text = json.dumps(
         {**record, "phrases": phrases} if phrases else record, separators=(",", ":"), allow_nan=False
@@ -65,7 +65,7 @@ def decode(line: bytes) -> dict[str, Any] | None:
 
 
 def records_in(data: bytes) -> Iterator[dict[str, Any]]:
-    """Return whole records up to the first that is not, or that does not follow the one before it."""
+    """Return the records up to the first that is incomplete or does not follow the one before it."""
     expected = None
     start = 0
     while (end := data.find(b"\n", start)) >= 0:
@@ -165,17 +165,17 @@ class Journal:
             raise JournalError(failure)
 
     def hasten(self) -> None:
-        """Let everything appended be made safe soon, without waiting: `failure` says so if it could not be."""
+        """Ask for a sync soon, without waiting; if it fails, `failure` says so."""
         if self._file is not None and not self.failure:
             self._syncer.hasten()
 
     def repair(self) -> None:
-        """Begin, after a failure, a new file with the whole state. JournalError if the disk still refuses."""
+        """After a failure, begin a new file with the whole state. JournalError if the disk still refuses."""
         if self.failure:
             self._rotate()
 
     def close(self) -> None:
-        """Let go of the file; it is made safe behind us."""
+        """Close the file; it is synced in the background."""
         if self._file is not None:
             self._syncer.let_go()
             self._file = None

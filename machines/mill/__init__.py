@@ -1,1 +1,1 @@
-"""One mill in the hands of its owner: link, runs, journal, and what others see of it."""
+"""One mill and its owner: link, runs, journal, and the snapshot for others."""

@@ -1,8 +1,8 @@
-"""Commands beside a run: how they are sent, the words when they end, and what a line from the console would change.
+"""Commands outside a run: sends them, words their end, and judges what a console line would change.
 
-A console line that changes what protects the mill, or where things are, needs a second confirmation. Reading ($$, $#,
-$G, $I, $N) and plain moves pass. Of what begins with $, only what is known to be harmless passes: a controller knows
-more commands than this table. $H, $J, $X, $C and $SLP are refused elsewhere, for commands of their own. Meanings:
+A console line that changes a protection of the mill, or the coordinates, needs a second confirmation. Reading ($$, $#,
+$G, $I, $N) and plain moves pass. Of the lines that begin with $, only those known to be harmless pass: a controller
+knows more commands than this table. $H, $J, $X, $C and $SLP are refused elsewhere, for commands of their own. Meanings:
 GRBL's wiki (v1.1 Commands, v1.1 Configuration), LinuxCNC's G-code reference.
 """
 
@@ -38,9 +38,9 @@ from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 
 _MOVES_NOTHING = (ReadSettings, Override, JogCancel)
-_ASK_FIRST = (ProbeZ, ProbeCorner, Override)  # the controller for its modes, or where an override stands
+_ASK_FIRST = (ProbeZ, ProbeCorner, Override)  # the controller, for its modes or the present override
 _AXES = "XYZ"
-_STEP_MM = 0.02  # of a coarse mill: its jogs end that much beside what they were asked for
+_STEP_MM = 0.02  # of a coarse mill: its jogs may end that far from the requested position
 _NAMES: dict[type[Command], Phrase] = {
     Home: Phrase("Home"),
     Unlock: Phrase("Unlock"),
@@ -50,7 +50,7 @@ _NAMES: dict[type[Command], Phrase] = {
     ReadSettings: Phrase("Read settings"),
 }
 
-# The first row that fits counts. A pattern is held against the whole of a $ command, or against one word (G92.1).
+# The first row that matches counts. A pattern must match the whole of a $ command, or one word (G92.1).
 EFFECTS: tuple[tuple[str, Phrase], ...] = (
     (
         r"\$RST=.*",
@@ -90,11 +90,11 @@ _WORD, _SETTING = re.compile(f"([A-Z])({_NUMBER})"), re.compile(rf"\$({_NUMBER})
 
 @dataclass(eq=False)
 class Commands:
-    """Sends what a person asks for beside a run, and takes over what it has changed."""
+    """Sends a person's commands outside a run, and records what they have changed."""
 
     context: MillContext
     unattended: UnattendedRuns
-    _last: tuple[Command, Caller] | None = None  # whose the last command is
+    _last: tuple[Command, Caller] | None = None  # the last command and its caller
     _jog_from_mm: Triple | None = None  # machine coordinates
 
     def send(self, command: Command, order: Order) -> None:
@@ -216,19 +216,19 @@ def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None)
 
 
 def _way(by_mm: Triple) -> str:
-    """Word it as in "X +10 mm, Z -0.5 mm"."""
+    """Describe a jog, as in "X +10 mm, Z -0.5 mm"."""
     moved = ((axis, round(by, 3)) for axis, by in zip(_AXES, by_mm, strict=True))
     return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or Phrase("by nothing")
 
 
 def _together(axes: str) -> str:
-    """Join as in "X, Y and Z"."""
+    """Join words, as in "X, Y and Z"."""
     return Phrase("{first} and {last}", first=", ".join(axes[:-1]), last=axes[-1]) if len(axes) > 1 else axes
 
 
 def describe_effect(text: str) -> Phrase:
-    """Return what the line would change, as the end of a sentence that begins with it; "" where it need not be asked
-    for.
+    """Return the effect of the line, as the end of a sentence that begins with the line; "" if it needs no
+    confirmation.
     """
     line = strip_block(text.encode("ascii", "replace")).decode()
     parts = (
@@ -241,7 +241,7 @@ def describe_effect(text: str) -> Phrase:
 
 
 def _normalize_setting(line: str) -> str:
-    """Normalise: $020=0.0 is $20=0 to a controller."""
+    """Normalise a setting: to a controller, $020=0.0 is $20=0."""
     if found := _SETTING.fullmatch(line):
         number, value = found.groups()
         return f"${_plain(number)}={_plain(value) if re.fullmatch(_NUMBER, value) else value}"
@@ -249,7 +249,7 @@ def _normalize_setting(line: str) -> str:
 
 
 def _word(letter: str, number: str) -> str:
-    """Normalise a word: G092.10 is G92.1 to a controller."""
+    """Normalise a word: to a controller, G092.10 is G92.1."""
     return f"{letter}{_plain(number)}"
 
 

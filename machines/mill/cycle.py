@@ -1,4 +1,4 @@
-"""Time passes here: what a driver reports is read and acted on, and run and mill are compared many times a second."""
+"""The cycle of a mill's owner: reads the driver's reports, acts on them, and compares run and mill."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 
 LOOK_S = 0.05
-PLACE_S = 5.0  # some links never report where the mill is
+PLACE_S = 5.0  # some links never report the mill's position
 
 
 @dataclass(eq=False)
 class MillCycle:
-    """Reads the driver and hands on what it reports. Sends nothing but questions."""
+    """Reads the driver and passes on its reports. Sends only queries."""
 
     context: MillContext
     control: RunControl
@@ -58,7 +58,7 @@ class MillCycle:
             self.look()
 
     def look(self) -> None:
-        """Compare run and mill, mark the journal, renew the snapshot."""
+        """Compare run and mill, mark the journal, update the snapshot."""
         self._look_at_s = self.context.clock() + LOOK_S
         status = self.context.link.status
         if status.state not in AWAY:
@@ -70,7 +70,7 @@ class MillCycle:
         self.publish()
 
     def read_settings(self) -> dict[str, Any] | None:
-        """Return settings, offsets and parser state, read now; None where the link does not report them or the mill is
+        """Return settings, offsets and parser state, read now; None if the link does not report them or the mill is
         not idle.
         """
         driver = self.context.link.driver
@@ -91,7 +91,7 @@ class MillCycle:
                     ended_s = self.context.clock()
                     answer = None if event.failure else dict(event.answer)
             if ended_s is None:
-                continue  # the driver ends it: it knows how late its answers are
+                continue  # the driver ends it: it knows the delay of its answers
             # The work position comes with the offset, the spindle with the overrides: each only with some reports.
             whole = driver.status.work_mm is not None and driver.status.complete
             if answer is None or whole or self.context.clock() >= ended_s + PLACE_S:

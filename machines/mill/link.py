@@ -1,7 +1,7 @@
-"""The link of a mill: it is opened again at growing intervals, and keeps what was asked for while it was away.
+"""The link of a mill: opens it again at growing intervals, and keeps orders given while it was away.
 
-Opening a link sends questions and, before them, a hold or an abort that somebody asked for in the meantime: never
-anything that can start motion.
+Opening a link sends queries and, before them, a hold or an abort that was ordered meanwhile; never anything that can
+start motion.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NO_MILL = MillStatus()
 
 @dataclass(slots=True)
 class Setup:
-    """What is known of the mill's set-up since the link is there.
+    """The mill's set-up as known since the link was opened.
 
     zeroed       : axes whose work zero was set, as far as the position is still trusted
     zeroed_anew  : those of them that were set since a program last started: not for a block before this one
@@ -40,7 +40,7 @@ class Setup:
         self.zeroed, self.zeroed_anew, self.homed = "", "", False
 
     def digest(self, status: MillStatus, needs: tuple[Phrase, ...]) -> str:
-        """Return a digest of what a start rests on, to check whether a person has seen the mill as it is."""
+        """Return a digest of the facts on which a start depends, to check that a person has seen the present ones."""
         offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
         rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, bool(needs))
         return hashlib.sha256(repr(rests_on).encode()).hexdigest()[:16]
@@ -92,7 +92,7 @@ class MillLink:
         self._woken.clear()
 
     def open(self, timeout_s: float) -> bool:
-        """Try to open the link, or wait for the next try; whether there is one now."""
+        """Try to open the link, or wait for the next try; return whether there is a link now."""
         wait_s = self._try_at_s - self._clock()
         if wait_s > 0.0:
             self._pause(min(wait_s, timeout_s, BACK_OFF_S[-1]))
@@ -112,7 +112,7 @@ class MillLink:
         return True
 
     def order(self, what: str) -> None:
-        """Hold or abort now; where the link is away, or refuses, as the first thing when it is back."""
+        """Hold or abort now; if the link is away or refuses, do so first when it is back."""
         driver = self.driver
         if driver is not None:
             try:
@@ -129,18 +129,18 @@ class MillLink:
             self.latched = "abort" if "abort" in (what, self.latched) else what
 
     def hold_unasked(self) -> None:
-        """Hold on our own account; a refusal of the driver is logged, not raised."""
+        """Hold on our own initiative; a refusal of the driver is logged, not raised."""
         try:
             self.order("hold")
         except MachineError as error:
             self._say("fault", Phrase("hold: {error}", error=error.words))
 
     def note_seen(self) -> None:
-        """Note that the mill was heard: what was latched has been carried out."""
+        """Note that the mill has answered: the latched order has been carried out."""
         self._tries, self.problem, self.latched = 0, NO_WORDS, ""
 
     def drop(self, words: Phrase) -> None:
-        """Give the link up, or note that it is lost."""
+        """Close the link, or note that it is lost."""
         self.setup = Setup()
         self.close()
         self._fail(words)

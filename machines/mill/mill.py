@@ -1,12 +1,13 @@
-"""A mill as its owner sees it: one driver, one journal, at most one live run. Single-threaded: everything is `step`.
+"""A mill as its owner drives it: one driver, one journal, at most one live run. Single-threaded: `step` does
+everything.
 
-Nothing here moves the mill by itself. A lost link is opened again with growing patience, and then the only things sent
-unasked are questions and a hold or an abort that somebody had asked for while the link was away. Every start and every
-recovery needs a person's confirmation.
+Nothing here moves the mill by itself. A lost link is opened again at growing intervals. Then only queries are sent
+unasked, and a hold or an abort that was ordered while the link was away. Every start and every recovery needs a
+person's confirmation.
 
-The parts: `link` and `run_store` hold what there is, `run_control` the run that is streamed and the runs whose mill
-went on alone; `commands` sends what is asked for beside a run, `cycle` reads the driver, `starting` starts
-and recovers; `view` has what they share, log and snapshot. `Mill` puts them together and carries out orders.
+The parts: `link` and `run_store` hold the link and the runs; `run_control` the streamed run, and runs whose mill went
+on unattended; `commands` sends commands outside a run; `cycle` reads the driver; `starting` starts and recovers; `view`
+has the shared context, log and snapshot. `Mill` combines them and carries out orders.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Mill:
         return self._link.status
 
     def publish(self) -> None:
-        """Renew the snapshot."""
+        """Update the snapshot."""
         self._publisher.publish()
 
     def step(self, timeout_s: float) -> None:
@@ -103,16 +104,16 @@ class Mill:
         self._link.wake()
 
     def urge(self, stop: str) -> bool:
-        """Write the byte that stops motion to the link at once, from any thread; whether there is one and it left."""
+        """Write the byte that stops motion to the link at once, from any thread; return whether it was sent."""
         driver = self._link.driver
         return driver is not None and driver.urge(stop)
 
     # ------------------------------------------------------------------ orders
 
     def carry_out(self, doing: str, act: Callable[[Mill], T], caller: Caller, *, needs_lease: bool = False) -> T:
-        """Carry out an order under the caller's grant; the log says whose it was and what came of it.
+        """Carry out an order under the caller's grant; log the caller and the result.
 
-        The grant is looked at now, and again when nothing but the wire is left. OrderRefusedError, or that of `act`.
+        The grant is checked now, and again just before the write. OrderRefusedError, or the error of `act`.
         """
         try:
             self._order = Order(caller, self.orders.redeem(caller.grant, doing, needs_lease=needs_lease))
@@ -139,21 +140,21 @@ class Mill:
     def start(self, run_id: str, confirmation: Confirmation, *, setup: str | None = None) -> None:
         """Stream a parked run from its first line.
 
-        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError where it is another by now
+        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError if it is another by now
         """
         self._begin(lambda: self._starter.start(run_id, confirmation, self._order, setup=setup))
 
     def plan_recovery(self, run_id: str) -> RecoveryPlan:
-        """Plan how the run would go on now: what has to be done first, and what would be sent. Sends only questions."""
+        """Plan the recovery of the run as of now: needs first, and the lines that would be sent. Sends only queries."""
         run = self._runs.get(run_id)
         plan, _, _ = self._planner.plan(run)
         self._runs.let_rest(run)
         return plan
 
     def recover(self, run_id: str, confirmation: Confirmation, *, plan_seen: str | None = None) -> None:
-        """Go on with an interrupted run, as the plan of this moment says.
+        """Continue an interrupted run by the plan as it is now.
 
-        plan_seen : digest of the plan that the person has read; OrderRefusedError where it is another by now
+        plan_seen : digest of the plan that the person has read; OrderRefusedError if it is another by now
         """
         self._begin(lambda: self._starter.recover(run_id, confirmation, self._order, plan_seen=plan_seen))
 
@@ -172,7 +173,7 @@ class Mill:
         self._cycle.look()
 
     def command(self, command: Command) -> None:
-        """Home, unlock, jog, probe, zero, override ...: the answer comes as an entry of the log."""
+        """Home, unlock, jog, probe, zero, override ...: the answer is an entry of the log."""
         self._require_open()
         self._commands.send(command, self._order)
         self._cycle.look()
@@ -185,14 +186,14 @@ class Mill:
         {Stop.HOLD: self.hold, Stop.ABORT: self.abort, Stop.JOG_CANCEL: self.cancel_jog}[stop]()
 
     def hold(self) -> None:
-        """Stop motion, keeping the position. Always taken: without a link it is carried out when the link is back."""
+        """Stop motion, keeping the position. Always accepted; without a link, done when it is back."""
         try:
             self._control.hold()
         finally:
             self._cycle.look()
 
     def abort(self) -> None:
-        """End the run: hold, and from standstill clear what the controller holds. Always taken, as `hold` is."""
+        """End the run: hold, and from standstill clear the controller's buffers. Always accepted, like `hold`."""
         try:
             self._control.abort()
         finally:
@@ -221,7 +222,7 @@ class Mill:
         )
 
     def close(self, *, detach: bool = False) -> None:
-        """Let go of port, journal and folder. The mill keeps what it holds; a live run will be found interrupted."""
+        """Release port, journal and folder. The mill keeps its buffer; a live run will be found interrupted."""
         if self._closed:
             return
         self.require_closable(detach=detach)
@@ -232,7 +233,7 @@ class Mill:
             self._runs.close()
 
     def note_failure(self, error: BaseException) -> None:
-        """Hold what moves or may move, for the owner thread ends because of this; leave the words behind."""
+        """Hold a mill that moves or may move, because this failure ends the owner thread; log the reason."""
         reason = f"{type(error).__name__}: {error}"
         self._log.say("fault", f"the agent failed: {reason}", code=MillCode.OWNER_FAILED, values={"reason": reason})
         if self._link.driver is not None and (self._runs.live is not None or self.status.state in _MOVES):

@@ -1,12 +1,12 @@
-"""May this order still be carried out? Grants, the stop count and the lease of one mill.
+"""Decides whether an order may still be carried out, by the grants, the stop count and the lease of one mill.
 
 An order is anything that can start motion or change what a motion means. It is carried out under a grant: a word that
 is handed out when a person asks for it and that one order may use, once, within `GRANT_S` on this clock. A grant ends
 with the next stop (the stop count has risen), with a change of the lease (somebody else has control), and with this
-process, which is why neither a slow network nor a duplicate nor a restart can make an old order come true. Nothing here
-compares the clocks of two computers.
+process, so neither a slow network nor a duplicate nor a restart can revive an old order. Nothing here compares the
+clocks of two computers.
 
-A stop asks for nothing and waits for nobody: it raises the count in every state.
+A stop needs no grant and waits for nothing: it raises the count in every state.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NO_GRANT = (
 
 
 class Stop(StrEnum):
-    """What ends motion; asked for by anybody, at any time."""
+    """Orders that end motion, which anyone may give at any time."""
 
     HOLD = "hold"
     ABORT = "abort"
@@ -43,22 +43,22 @@ class Stop(StrEnum):
 
 
 class Refusal(StrEnum):
-    """Why an order is not carried out, for programs."""
+    """Codes, for programs, of the reasons why an order is not carried out."""
 
     MISSING = "grant_missing"
-    UNKNOWN = "grant_unknown"  # never handed out here, or used already
+    UNKNOWN = "grant_unknown"  # never issued here, or already used
     EXPIRED = "grant_expired"
     STOPPED = "grant_stopped"
     LEASE = "grant_lease"
-    HELD = "control_held"  # by somebody else
-    LOST = "control_lost"  # by the caller, to nobody
+    HELD = "control_held"  # by someone else
+    LOST = "control_lost"  # by the caller, without a successor
     NOBODY = "control_needed"
     PLAN = "plan_changed"
     SETUP = "setup_changed"
 
 
 class OrderRefusedError(NotAllowedError):
-    """An order that is not carried out; `code` says why. holder: who has control, where that is the reason."""
+    """An order that is not carried out; `code` is the reason. holder: who has control, if that is the reason."""
 
     def __init__(self, code: Refusal, words: str, holder: Lease | None = None) -> None:
         super().__init__(words, code=code, values={} if holder is None else {"operator": holder.operator})
@@ -76,13 +76,13 @@ class Lease:
     digest: str
 
     def as_dict(self) -> dict[str, object]:
-        """Return what others may know of it."""
+        """Return its public part."""
         return {"operator": self.operator, "principal": self.principal, "since_s": self.since_s}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
-    """What one order may still rest on."""
+    """The permission for one order."""
 
     word: str
     issued_s: float
@@ -92,7 +92,7 @@ class Grant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caller:
-    """Whose word an order is. origin: where it came from; grant: under which it is given."""
+    """The person who gives an order. origin: where it came from; grant: under which it is given."""
 
     name: str = ""
     origin: str = ""
@@ -131,7 +131,7 @@ class OrderGate:
         return self._stops
 
     def count_stop(self) -> int:
-        """End every grant that was handed out so far."""
+        """End every grant issued so far."""
         with self._lock:
             self._stops += 1
             return self._stops
@@ -146,7 +146,7 @@ class OrderGate:
     def take_lease(
         self, operator: str, principal: str, shown: str = "", *, take_over: bool = False
     ) -> tuple[str, Lease, bool]:
-        """Return the secret, the lease and whether it is new. OrderRefusedError where somebody else has control."""
+        """Return the secret, the lease and whether it is new. OrderRefusedError if somebody else has control."""
         with self._lock:
             lease = self._live_lease()
             if lease is not None and _is_secret_of(lease, shown):
@@ -167,7 +167,7 @@ class OrderGate:
             return secret, self._lease, True
 
     def release_lease(self, shown: str) -> bool:
-        """Return whether it was this holder's, and is nobody's now."""
+        """Release control if this holder has it; return whether they had it."""
         with self._lock:
             lease = self._live_lease()
             if lease is None or not _is_secret_of(lease, shown):
@@ -176,17 +176,17 @@ class OrderGate:
             return True
 
     def require_free(self, shown: str = "") -> None:
-        """Raise OrderRefusedError where somebody else has control."""
+        """Raise OrderRefusedError if somebody else has control."""
         with self._lock:
             self._require_own_lease(shown)
 
     # ------------------------------------------------------------------ grants
 
     def issue_grant(self, shown: str = "", *, stops_seen: int | None = None) -> Grant:
-        """Hand out a grant to the holder of control, or to anybody where nobody has it; a holder is renewed by it.
+        """Issue a grant to the holder of control, whose lease it renews, or to anyone if no one has control.
 
-        stops_seen : the stop count as the person saw it when they pressed; a stop that has overtaken the asking for
-                     the grant was pressed later, and is the last word
+        stops_seen : the stop count as the person saw it when they pressed; a stop that has overtaken this request was
+        pressed later and takes precedence
         """
         with self._lock:
             lease = self._require_own_lease(shown)
@@ -210,9 +210,9 @@ class OrderGate:
             return grant
 
     def redeem(self, word: str, doing: str, *, needs_lease: bool = False) -> Permit:
-        """Use a grant up: the permit that holds until the order is carried out. OrderRefusedError.
+        """Use up a grant; return the permit, which is valid until the order is carried out. OrderRefusedError.
 
-        needs_lease : not even where nobody has control may it be ordered without
+        needs_lease : the order needs control even if no one has it
         """
         if not word:
             raise OrderRefusedError(Refusal.MISSING, f"{doing}: {_NO_GRANT}")
@@ -234,7 +234,7 @@ class OrderGate:
                 break
 
     def _require_own_lease(self, shown: str) -> Lease | None:
-        """Return the caller's lease, or None where nobody has control; OrderRefusedError where somebody else has."""
+        """Return the caller's lease, or None if nobody has control; OrderRefusedError if somebody else has."""
         lease = self._live_lease()
         if lease is not None and not _is_secret_of(lease, shown):
             raise _make_held_error(lease, lost=bool(shown))
@@ -257,11 +257,11 @@ class Permit:
         self._limit_s = GRANT_S
 
     def extend(self) -> None:
-        """Allow more time: the order was begun in time, and what it asks of the controller first may take a while."""
+        """Allow more time: the order was begun in time, and its first queries to the controller may take a while."""
         self._limit_s = CARRY_OUT_S
 
     def require(self) -> None:
-        """Raise OrderRefusedError unless the order is still for now: the last look before something leaves."""
+        """Raise OrderRefusedError unless the order is still valid: the last check before a byte is sent."""
         gate, grant = self._gate, self._grant
         lease = gate.get_lease()
         if gate.stops != grant.stops:
@@ -281,7 +281,7 @@ class Permit:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What is being carried out, on whose word; without a permit it was not asked for as an order."""
+    """The order being carried out, and its caller; without a permit it was not given as an order."""
 
     caller: Caller = NOBODY
     permit: Permit | None = None

@@ -1,4 +1,4 @@
-"""One run in the hands of a mill: its record, its journal, and how far it has come."""
+"""One run on a mill: its record, its journal, and its progress."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from machines.preflight.preflight import AT_PRESENT_ZERO, Preflight
 from machines.runs import LIVE, RunReport, RunState, move_state
 
 MARK_EVERY_S = 0.5
-LINK_LOST = "link"  # why nobody attends to a run: here the journal knows the last line sent
-OWNER_LOST = "owner"  # here it is up to a second behind
+LINK_LOST = "link"  # why a run is unattended: in this case the journal has the last line sent
+OWNER_LOST = "owner"  # in this case the journal is up to a second behind
 _PACE_AFTER_S = 20.0
 
 
 class Run:
-    """State changes go through `move`, into the record, and onto the disk."""
+    """State changes go through `move`, which writes them to the record and to the disk."""
 
     def __init__(
         self, record: dict[str, Any], open_journal: Callable[[], Journal], load_facts: Callable[[], Preflight]
@@ -58,7 +58,7 @@ class Run:
 
     @property
     def unattended(self) -> str:
-        """LINK_LOST or OWNER_LOST as long as the place where the mill stands shows how far it went alone, else ""."""
+        """LINK_LOST or OWNER_LOST while the mill's position still shows how far it went unattended; otherwise ""."""
         return str(self.record.get("adrift") or "")
 
     @property
@@ -72,7 +72,7 @@ class Run:
         return self._view
 
     def load(self) -> tuple[Preflight, ProgramReader]:
-        """Return facts and reader, from disk where they are not in memory."""
+        """Return facts and reader; load them from disk if they are not in memory."""
         if self.facts is None or self.reader is None:
             self.facts = self._load_facts()
             self.reader = ProgramReader(self.path, self.facts.index)
@@ -80,13 +80,13 @@ class Run:
 
     @property
     def lasting_warnings(self) -> list[str]:
-        """Those that hold wherever the work zero is."""
+        """The warnings that do not depend on the work zero."""
         return [one for one in self.record.get("warnings", ()) if not one.startswith(AT_PRESENT_ZERO)]
 
     # ------------------------------------------------------------------ what is written
 
     def write(self, kind: str, **fields: Any) -> None:
-        """Write into the record and to the journal. The record keeps it even where the disk does not."""
+        """Write to the record and to the journal. The record keeps it even if the disk fails."""
         self.record.update(fields)
         self._view = None
         self.journal.append(kind, **fields)
@@ -94,12 +94,12 @@ class Run:
     def move(
         self, state: RunState, words: str = "", *, code: str = "", values: dict[str, Any] | None = None, **fields: Any
     ) -> None:
-        """Change state, by the table."""
+        """Change the state, as the table of moves allows."""
         after = move_state(self.state, state)
         self.write("run", state=after.value, words=words, code=code, values=values or {}, **fields)
 
     def begin_stream(self) -> None:
-        """Begin to count: a driver is about to stream from here."""
+        """Begin counting lines: a driver is about to stream from here."""
         self._base_line = self.executed_line
         self._looked_s = None
         self._moving_s = 0.0
@@ -107,7 +107,7 @@ class Run:
     def follow(
         self, progress: StreamProgress, status: MillStatus, now_s: float, wall_s: float, *, moving: bool
     ) -> None:
-        """Take over what the driver knows; a mark in the journal every so often and when it matters."""
+        """Take over the driver's progress; write a mark to the journal at intervals and when it matters."""
         if self._looked_s is not None and moving:
             self._moving_s += now_s - self._looked_s
         self._looked_s = now_s
@@ -130,7 +130,7 @@ class Run:
             "epoch": status.epoch,
             "overrides": status.overrides,
         }
-        if self.live:  # afterwards the mill may be anywhere: where the run ended stays
+        if self.live:  # afterwards the mill may be anywhere: keep the place where the run ended
             fields |= {"machine_mm": status.machine_mm, "work_mm": status.work_mm}
         content = tuple(fields.values())
         if not moving and content == self._marked:
@@ -139,7 +139,7 @@ class Run:
         self.write("mark", **fields, wall_s=round(wall_s, 3))
 
     def last_mark(self, progress: StreamProgress) -> dict[str, Any]:
-        """Return what a state change takes with it, so that the end of a run is exact.
+        """Return the mark that goes with a state change, so that the end of a run is exact.
 
         A fault can take back what positions had seemed to prove, though not beyond where this stream began.
         """
@@ -161,7 +161,7 @@ class Run:
             self._journal = None
 
     def let_go(self) -> None:
-        """Let go of the open file and the index in memory: a run that is over needs neither."""
+        """Release the open file and the index in memory: a run that has ended needs neither."""
         self.close()
         self.facts = self.reader = None
 
@@ -178,9 +178,7 @@ class Run:
         return left * total_s * (self._moving_s / expected_s if known else 1.0)
 
     def take_back(self, fields: dict[str, Any]) -> None:
-        """Take back a start that did not come about. Where the disk refuses this too, its next good record will have
-        it.
-        """
+        """Undo a start that did not take place. If the disk refuses this as well, its next good record will have it."""
         with contextlib.suppress(JournalError):
             self.write("run", **fields)
 

@@ -1,8 +1,8 @@
-"""The run on the mill: held, resumed, aborted, ended, and kept in step with what the mill does.
+"""Controls the run on the mill: holds, resumes, aborts and ends it, and keeps it in step with the mill.
 
-A run whose mill went on alone is watched until the mill stands, and then booked up to where it has come. It is
-unattended from the moment its link is lost, or its owner dies, until anything is done to the mill that could move it or
-its zero: any command, a restart, another run. Only in between does the place where it stands prove anything.
+A run whose mill went on unattended is watched until the mill stands; then its progress is recorded. A run is unattended
+from the moment its link is lost, or its owner dies, until anything is done to the mill that could move it or its zero:
+any command, a restart, another run. Only in between does the mill's position prove anything.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STILL_S = 0.5  # two status reports at the same place
 
 @dataclass(eq=False)
 class Standstill:
-    """Since when the mill has stood idle at one place."""
+    """The time since which the mill has stood idle at one place."""
 
     _place: Triple | None = None
     _since_s: float = 0.0
@@ -44,13 +44,13 @@ class Standstill:
 
 @dataclass(eq=False)
 class UnattendedRuns:
-    """Finds out how far the mill has come without us."""
+    """Finds out how far the mill has got unattended."""
 
     context: MillContext
     _standstill: Standstill = field(default_factory=Standstill)
 
     def watch(self) -> None:
-        """Book what the mill has done alone, once it stands; the first standstill after the link is back counts."""
+        """Record what the mill has done unattended, at its first standstill after the link is back."""
         driver = self.context.link.driver
         if driver is None or self.context.runs.live is not None:
             return
@@ -60,12 +60,12 @@ class UnattendedRuns:
         for run in self._list_unattended():
             try:
                 self._book_place(run, driver, place_mm)
-            except MachineError as error:  # the program is gone, or the disk refuses: what was known stays
+            except MachineError as error:  # the program is gone, or the disk refuses: keep the known state
                 self.context.log.say("journal", Phrase("{run}: {error}", run=run.view.name, error=error.words))
                 run.record["adrift"] = ""
 
     def note_touch(self, but: Run | None = None) -> None:
-        """Note that something is done to the mill that may move it or its zero: its place proves nothing more."""
+        """Note an action that may move the mill or its zero: from now on its position proves nothing."""
         for run in self._list_unattended():
             if run is not but:
                 run.write("ashore", adrift="")
@@ -91,7 +91,7 @@ class UnattendedRuns:
 
 
 def _proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Triple) -> int | None:
-    """Return the last line this run has certainly executed; None where nothing can be said of the position."""
+    """Return the last line that this run has certainly executed; None if the position proves nothing."""
     settings, record = get_settings(driver), run.record
     if settings is None or reader.index.dialect not in GRBL_DIALECTS:
         return None
@@ -112,7 +112,7 @@ _TOUCH_OFF = Phrase("a program has ended: if the tool is changed now, touch off 
 
 @dataclass(eq=False)
 class RunControl:
-    """Owns what was asked of the live run, and its state.
+    """Owns the live run's requested and actual state.
 
     streamed : the run that the present driver has streamed, while its tail is still reported
     """
@@ -138,10 +138,10 @@ class RunControl:
         )
         self.context.log.say("run", words)
 
-    # ------------------------------------------------------------------ what a person asks for
+    # ------------------------------------------------------------------ orders of a person
 
     def hold(self) -> None:
-        """Stop motion, keeping the position; without a link as soon as it is back."""
+        """Stop motion, keeping the position; without a link, as soon as it is back."""
         try:
             self.context.link.order("hold")
         finally:
@@ -189,7 +189,7 @@ class RunControl:
                 self._note_asked(run, RunState.STOPPING)
 
     def _take_back(self, run: Run) -> None:
-        """Take a run back that has not begun."""
+        """Take back a run that has not begun."""
         try:
             ended_s = round(self.context.wall_clock(), 3)
             run.move(RunState.ABORTED, "taken back before its start", code=MillCode.TAKEN_BACK, ended_s=ended_s)
@@ -198,13 +198,13 @@ class RunControl:
         run.let_go()
 
     def _note_asked(self, run: Run, state: RunState) -> None:
-        """Change what was asked for. A disk that refuses does not stop a stop."""
+        """Change the requested state. A failing disk does not prevent a stop."""
         try:
             self._change(run, state)
         except JournalError as error:
             self.context.log.say("journal", error.words)
 
-    # ------------------------------------------------------------------ what the mill does
+    # ------------------------------------------------------------------ events from the mill
 
     def follow(self) -> None:
         """Compare the run with the mill, and mark its journal."""
@@ -227,7 +227,7 @@ class RunControl:
                 raise JournalError(failure)
 
     def _mirror(self, run: Run, state: RunState, status: MillStatus, progress: StreamProgress) -> None:
-        """Let the run's state follow the mill's: a button on the machine holds a run as well as a call does."""
+        """Let the run's state follow the mill's: a button on the machine holds a run just as a call does."""
         if self._recovering and progress.answered_line > 0:
             self._recovering = False
         going = RunState.RECOVERING if self._recovering else RunState.RUNNING
@@ -244,7 +244,7 @@ class RunControl:
             self._change(run, wanted, status.detail if wanted is RunState.HELD else "")
 
     def _change(self, run: Run, state: RunState, words: str = "", **more: Any) -> None:
-        """Write a state change to the journal together with how far the run has come."""
+        """Write a state change to the journal together with the run's progress."""
         status = self.context.link.status
         where: dict[str, Any] = {
             "machine_mm": status.machine_mm,
@@ -259,9 +259,9 @@ class RunControl:
         run.move(state, words, **mark, **where, **more)
 
     def hold_without_journal(self, run: Run, error: JournalError) -> None:
-        """Hold, and say why: without a journal nothing may run. Resume tries the disk again.
+        """Hold, with the reason: without a journal nothing may run. Resume tries the disk again.
 
-        Asked again at every look: a cycle start at the machine must not go on without a journal either.
+        This is repeated at every look, because a cycle start at the machine must not continue without a journal either.
         """
         words = Phrase("held because {error}; make room, then resume", error=error.words)
         if not self._journal_words:
@@ -275,7 +275,7 @@ class RunControl:
         if run.state in _MOVING:
             run.record.update(state=RunState.HOLDING.value, words=words)
 
-    # ------------------------------------------------------------------ how it ends
+    # ------------------------------------------------------------------ ends of a run
 
     def note_fault(self, event: Faulted) -> None:
         """Interrupt the live run; drop a link that is lost."""

@@ -1,8 +1,7 @@
-"""The runs of one mill: whose their folder is, what lies in it, and which run the mill is about.
+"""The runs of one mill: the lock of their folder, its contents, and the mill's current run.
 
 lock                       held by the one process that owns the mill
-runs/<id>/preflight.json   what is known of the program
-runs/<id>/journal-*.log    what happened to the run
+runs/<id>/preflight.json   facts about the program runs/<id>/journal-*.log    the history of the run
 """
 
 from __future__ import annotations
@@ -83,8 +82,8 @@ class RunFolders:
         return self.folder / run_id
 
     def new_id(self, wall_s: float, sha256: str) -> str:
-        """Return a name that is unique in this folder and sorts behind all that are there, even after the wall clock
-        was set back.
+        """Return a name that is unique in this folder and sorts after all present ones, even after the wall clock was
+        set back.
         """
         newest_s = max((calendar.timegm(time.strptime(name[:15], _TIME)) for name in self._names()), default=0)
         return time.strftime(_TIME, time.gmtime(max(wall_s, newest_s + 1))) + f"-{sha256[:6]}"
@@ -95,7 +94,7 @@ class RunFolders:
         return [path.name for path in self.folder.iterdir() if _MADE.fullmatch(path.name)]
 
     def remove(self, run_id: str) -> bool:
-        """Remove a run from the disk, its journal first; False where something of it stays."""
+        """Remove a run from the disk, its journal first; False if a part of it stays."""
         folder = self.path(run_id)
         try:
             for path in (*sorted(folder.glob("journal-*.log")), *sorted(folder.glob("preflight.*"))):
@@ -106,7 +105,7 @@ class RunFolders:
         return True
 
     def save_facts(self, run_id: str, facts: Preflight) -> None:
-        """Write preflight.json, whole or not at all."""
+        """Write preflight.json, completely or not at all."""
         folder = self.path(run_id)
         part = folder / "preflight.part"
         try:
@@ -144,7 +143,7 @@ class RunFolders:
 class RunStore:
     """All runs of one mill. The folder is this process's until `close`.
 
-    active : the run the mill is about: the live one, else the one touched last
+    active : the current run: the live one, else the last one
     """
 
     def __init__(
@@ -209,7 +208,7 @@ class RunStore:
         return run
 
     def let_rest(self, run: Run) -> None:
-        """Let go of files and index of a run that the mill is not about."""
+        """Release files and index of a run that is not the current one."""
         if run is not self.active:
             run.let_go()
 
@@ -233,7 +232,7 @@ class RunStore:
             if content.torn:
                 run.record["torn"] = content.torn
                 self._say("journal", Phrase("{run}: {torn}", run=run.view.name or run_id, torn=content.torn))
-            if run.live:  # the process that wrote that has gone without saying so
+            if run.live:  # the process that wrote that has died
                 values = {"state": run.record["state"]}
                 words = Phrase("the agent ended while the run was {state}", state=run.state.words)
                 run.write("run", state=RunState.INTERRUPTED.value, words=words, code=MillCode.OWNER_LOST, values=values,
@@ -255,16 +254,16 @@ class RunStore:
                 if self._folders.remove(run.id):
                     del self._runs[run.id]
 
-    # ------------------------------------------------------------------ what is done to the mill between programs
+    # ------------------------------------------------------------------ events between programs
 
     def note_restart(self) -> None:
-        """Note for all runs that could be recovered that the controller has forgotten its position."""
+        """Note for all recoverable runs that the controller has lost its position."""
         for run in self.recoverable():
             run.write("restarted", restarted=True)
             self.let_rest(run)
 
     def note_reset(self, status: MillStatus, parser_state: str | None, settings: ControllerSettings | None) -> None:
-        """Note where the mill stands after a reset that kept the count, for runs whose position was not in doubt.
+        """Note the mill's position after a reset that kept the count, for runs whose position was not in doubt.
 
         The place proves it from then on: the reset has cleared the other proof, feed and spindle.
         """
@@ -275,7 +274,7 @@ class RunStore:
                 self.let_rest(run)
 
     def note_frame_change(self) -> None:
-        """Note for all recoverable runs that a setting has changed on which their position rests."""
+        """Note for all recoverable runs that a setting has changed on which their position depends."""
         for run in self.recoverable():
             run.write("frame", reframed=True)
             self.let_rest(run)

@@ -1,8 +1,8 @@
-"""What is looked at before a program is sent: its file, the modes it relies on, whether it stays within the machine.
+"""Checks before a program is sent: its file, the modes on which it relies, whether it stays within the machine.
 
-A controller with soft limits would stop in the middle of the cut, one without would run into its end. Machine
-coordinates mean something where the machine was homed, or where the controller itself goes by them (soft limits);
-elsewhere what does not fit is said, and the operator decides.
+A controller with soft limits would stop in the middle of the cut; one without would hit the end of its travel. Machine
+coordinates are valid if the machine was homed, or if the controller itself uses them (soft limits); otherwise a misfit
+is only reported, and the operator decides.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from machines.preflight.preflight import Bounds, Preflight, placement_problems, 
 from machines.preflight.way_in import WAY_IN, find_risk, read_from_place, read_way_in
 from phrases.phrase import Phrase
 
-_PRESUMED = ("G54", "G17", "G94")  # what a program that does not say takes for granted, beside `Preflight.assumed`
-LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
+_PRESUMED = ("G54", "G17", "G94")  # that a program relies on without stating them, besides `Preflight.assumed`
+LINES_LOOKED_AT = 50_000  # in the search for the first line that leaves the travel: half a second
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """What does not fit, one sentence each. `certain`: machine coordinates are known to be right."""
+    """The misfits, one sentence each. `certain`: machine coordinates are known to be right."""
 
     problems: tuple[Phrase, ...] = ()
     certain: bool = False
@@ -55,7 +55,7 @@ def check_file(run: Run, facts: Preflight) -> None:
 
 
 def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
-    """Raise NotAllowedError where the program takes modes for granted that the controller is not in."""
+    """Raise NotAllowedError if the program relies on modes in which the controller is not."""
     modes = str((answer or {}).get("parser_state") or "").split()
     if not modes:
         return
@@ -72,7 +72,7 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
 
 
 def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed: bool) -> None:
-    """Raise NotAllowedError where the program goes by machine coordinates (G53), which mean nothing here."""
+    """Raise NotAllowedError if the program uses machine coordinates (G53), which are not valid here."""
     if settings is None or "machine" not in facts.bounds_by_frame or homed or settings.soft_limits:
         return
     way = Phrase("home the mill")
@@ -86,12 +86,12 @@ def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed:
 def check_way_in(
     facts: Preflight, reader: ProgramReader, place_mm: Triple | None, offsets: Mapping[str, Sequence[float]]
 ) -> None:
-    """Raise NotAllowedError where the program may hit something on its way in from where the tool stands.
+    """Raise NotAllowedError if the program may hit something on its way in from the tool's position.
 
     place_mm : of the tool, in machine coordinates, None: not known; offsets: of the controller, by name
-    A height that the program itself never exceeds is safe, as it goes across at it all the time.
+    The greatest height of the program is safe, because it crosses at that height all the time.
     """
-    if facts.dialect == RML:  # such a mill does not report its place: pre-flight has judged it from anywhere
+    if facts.dialect == RML:  # such a mill does not report its position: pre-flight has judged the program for any
         for finding in facts.findings:
             if finding.code == WAY_IN:
                 raise NotAllowedError(Phrase("start: {risk}", risk=finding.words))
@@ -111,7 +111,7 @@ def check_way_in(
 
 def _keep_lines(reader: ProgramReader, lines: list[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
     """Yield the program's lines and append each to `lines`."""
-    with suppress(ProgramChangedError):  # the run says so when it comes to that piece, and sends nothing of it
+    with suppress(ProgramChangedError):  # the run reports it when it reaches that piece, and sends nothing of it
         for line in reader.lines(1):
             lines.append((line.number, line.text))
             yield lines[-1]
@@ -140,7 +140,7 @@ def recovery_placement(
     settings: ControllerSettings | None,
     status: MillStatus,
 ) -> Placement:
-    """Check the way in, and the rest of the program as a whole: what is cut already did fit there."""
+    """Check the way in, and the rest of the program as a whole: the part already cut did fit."""
     whole = program_placement(facts, reader, settings, status)
     way = _way_in_placement(blocks, facts, settings, status)
     return Placement((*whole.problems, *way.problems), whole.certain or way.certain)
@@ -149,7 +149,7 @@ def recovery_placement(
 def _way_in_placement(
     blocks: Sequence[str], facts: Preflight, settings: ControllerSettings | None, status: MillStatus
 ) -> Placement:
-    """Check the blocks of a recovery, from where the tool stands."""
+    """Check the blocks of a recovery, from the tool's position."""
     if settings is None or status.work_mm is None:
         return Placement()
     interpreter = Interpreter(ModalState(position_mm=status.work_mm))

@@ -1,7 +1,7 @@
-"""How something comes to run: started or recovered, each with its checks, before anything moves.
+"""How a program is started or recovered, with the checks of each before anything moves.
 
-The order is the same for both ways: a person's confirmation, an idle mill, the program as pre-flight saw it, the mill
-as the program needs it (asked anew), the journal safe on disk, and only then the first byte.
+Both keep the same order: a person confirms, the mill is idle, the program is still the one that pre-flight checked, the
+mill is asked again whether it meets the program's needs, the journal is safe on disk. Only then is the first byte sent.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from phrases.phrase import Phrase, join
 
 @dataclass(eq=False)
 class RecoveryPlanner:
-    """Plans from a run's journal and the mill as it is now. Sends only questions."""
+    """Makes a recovery plan from a run's journal and the mill's present state. Sends only queries."""
 
     context: MillContext
     cycle: MillCycle
     reentry: Reentry
 
     def plan(self, run: Run) -> tuple[RecoveryPlan, dict[str, Any] | None, Placement]:
-        """Return the plan, with the answer and the check of place it rests on."""
+        """Return the plan, with the answer and the position check on which it is based."""
         if run.state not in RECOVERABLE:
             words = f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered"
             raise WrongStateError(words, MillCode.RUN_STATE, run.state)
@@ -69,7 +69,7 @@ class RecoveryPlanner:
         return plan, answer, placement
 
     def _await_place(self, run: Run) -> None:
-        """Wait for two reports of a mill that went on alone and stands by now: they say where."""
+        """Wait for two reports of the position of a mill that went on unattended and has stopped since."""
         until_s = self.context.clock() + 4 * STILL_S
         while run.unattended and self.context.link.status.state is MillState.IDLE and self.context.clock() < until_s:
             self.cycle.step(0.05)
@@ -78,7 +78,7 @@ class RecoveryPlanner:
 
 @dataclass(eq=False)
 class RunStarter:
-    """Sends the first byte of a program, once everything that it rests on was looked at."""
+    """Sends the first byte of a program after all checks have passed."""
 
     context: MillContext
     cycle: MillCycle
@@ -120,7 +120,7 @@ class RunStarter:
         self._stream(run, RunState.RUNNING, baseline, driver, reader.lines(1), order)
 
     def recover(self, run_id: str, confirmation: Confirmation, order: Order, *, plan_seen: str | None) -> None:
-        """Go on with an interrupted run, as the plan of this moment says. plan_seen : as `Mill.recover`"""
+        """Continue an interrupted run by the plan as it is now. plan_seen : as `Mill.recover`"""
         run = self.context.runs.get(run_id)
         order.extend()
         plan, answer, placement = self.planner.plan(run)
@@ -159,7 +159,7 @@ class RunStarter:
         return driver
 
     def _vouch(self, driver: Driver) -> None:
-        """Make the place where the operator's word for the zero was given the reference from here on."""
+        """From here on, use as reference the position at which the operator confirmed the zero."""
         if not driver.status.position_trusted:
             try:
                 driver.command(TrustPosition(), allow_always)
@@ -171,7 +171,7 @@ class RunStarter:
     def _baseline(
         self, run: Run, confirmation: Confirmation, answer: dict[str, Any] | None, placement: Placement
     ) -> dict[str, Any]:
-        """Return what held at the start, for the day it has to be compared."""
+        """Return the state at the start, for a later comparison."""
         status = self.context.link.status
         known = answer or {}
         if placement.problems:
@@ -201,10 +201,10 @@ class RunStarter:
         lines: Iterator[ProgramLine],
         order: Order,
     ) -> None:
-        """Let the first byte leave, only when the journal is safe on disk: the last step of start and recover.
+        """Send the first byte once the journal is safe on disk: the last step of start and recover.
 
-        The driver checks the order for the last time just before it writes. Notes about other runs come afterwards, as
-        they may wait for a disk.
+        The driver checks the order for the last time just before it writes. Notes about other runs are written
+        afterwards, because they may have to wait for a disk.
         """
         if self.context.runs.active is not None and self.context.runs.active is not run:
             self.context.runs.active.let_go()

@@ -1,7 +1,7 @@
-"""The thread that owns a Mill. Others put calls to it and read snapshots; nobody else touches the mill.
+"""The thread that owns a Mill. Other threads submit calls to it and read snapshots; no other thread touches the mill.
 
-A call wakes the poll, so that a hold is on the wire within milliseconds. Snapshots are frozen and replaced whole:
-reading one takes no lock.
+A call wakes the poll, so that a hold is on the wire within milliseconds. Snapshots are frozen and replaced as a whole,
+so reading one takes no lock.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class MillThread:
         self._calls: deque[tuple[Future[Any], Callable[[Mill], Any]]] = deque()
         self._snapshot = mill.snapshot
         self._changed = threading.Condition()
-        self.turns = 0  # of the owner thread, which looks for calls in each
+        self.turns = 0  # of the owner thread, which checks for calls in each
         self._ending = False
         self._ended = False
         self._failure: BaseException | None = None
@@ -52,15 +52,16 @@ class MillThread:
         return self._snapshot
 
     def wait_for_change(self, version: int, timeout_s: float) -> MillSnapshot:
-        """Return the first snapshot that is not `version`, or the present one when the time is over."""
+        """Return the first snapshot with another version than `version`, or the present one when the time is over."""
         with self._changed:
             self._changed.wait_for(lambda: self._snapshot.version != version or self._ended, timeout_s)
         return self._snapshot
 
     def call(self, function: Callable[[Mill], T], timeout_s: float = _CALL_S) -> T:
-        """Carry out `function` on the owner thread; its result or its exception comes back.
+        """Run `function` on the owner thread; return its result or raise its exception.
 
-        A caller that waited in vain learns that nothing came of it, so a call that has not begun by then never begins.
+        A caller that waited in vain is told that the call was not made, so a call that has not begun by then never
+        begins.
         """
         if threading.current_thread() is self._thread:
             return function(self._mill)
@@ -73,14 +74,15 @@ class MillThread:
         raise no_answer(timeout_s, taken_back=future.cancel())
 
     def submit(self, function: Callable[[Mill], T]) -> Future[T]:
-        """Let the owner thread carry out `function`; never waits. `cancel` takes back what has not begun."""
+        """Let the owner thread run `function`; never waits. `cancel` takes back a call that has not begun."""
         return self._put(self._calls, function)
 
     def halt(self, stop: Stop, caller: Caller = NOBODY) -> tuple[bool, Future[None]]:
-        """Stop the mill; never waits. Whether a byte that stops it has left, and the owner thread's own part of it.
+        """Stop the mill; never waits. Return whether a byte that stops it was sent, and the future of the owner
+        thread's part.
 
-        The stop is counted first, so that no older order is carried out any more; then the byte leaves for the mill,
-        without waiting for the owner thread, whose own part comes before all other calls.
+        The stop is counted first, so that no older order is carried out any more. Then the byte is sent without waiting
+        for the owner thread, whose own part comes before all other calls.
         """
         self._mill.orders.count_stop()
         written = self._mill.urge(stop.value)
@@ -99,7 +101,7 @@ class MillThread:
         return future
 
     def stop(self, *, detach: bool = False) -> None:
-        """End the thread and let go of the mill. Refused while it moves, unless `detach` says that it may go on."""
+        """End the thread and release the mill. Refused while the mill moves, unless `detach` allows it to go on."""
         if self._thread.is_alive():
             self.call(lambda mill: self._end(mill, detach))
             self._thread.join(_CALL_S)
@@ -134,7 +136,7 @@ class MillThread:
                     self._publish()
                     future.set_exception(error)
                 else:
-                    self._publish()  # the caller that gets the answer finds the snapshot that goes with it
+                    self._publish()  # a caller that gets the answer also finds the matching snapshot
                     future.set_result(value)
 
     def _publish(self) -> None:

@@ -1,4 +1,4 @@
-"""What is known of a mill: its log, what the parts of its owner share, and the snapshot that others see."""
+"""The data of a mill: its log, the context that the parts of its owner share, and the snapshot that others see."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class LogEntry:
         said = {
             "code": self.code, "values": self.values, "answer": self.answer, "by": self.by, "from": self.origin,
         }  # fmt: skip
-        told = plain | {name: value for name, value in said.items() if value}
-        return told | ({"phrases": phrases} if (phrases := phrases_in(told)) else {})
+        entry = plain | {name: value for name, value in said.items() if value}
+        return entry | ({"phrases": phrases} if (phrases := phrases_in(entry)) else {})
 
 
 class MillLog:
-    """What has happened to the mill of late, numbered. `wall_clock` gives seconds since 1970."""
+    """The recent events of the mill, numbered. `wall_clock` gives seconds since 1970."""
 
     def __init__(self, wall_clock: Callable[[], float]) -> None:
         self._wall = wall_clock
@@ -78,7 +78,7 @@ class MillLog:
         code: str = "",
         values: Mapping[str, object] | None = None,
     ) -> None:
-        """Add an entry. The page has words of its own for states and codes; anything else is a phrase."""
+        """Add an entry. The page has its own words for states and codes; anything else is a phrase."""
         self.count += 1
         entry = LogEntry(
             number=self.count,
@@ -94,13 +94,13 @@ class MillLog:
         self._entries.append(entry)
 
     def after(self, known: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
-        """Return all entries; the very tuple that is known already where nothing was added."""
+        """Return all entries; the caller's own tuple if nothing was added."""
         return known if known and known[-1].number == self.count else tuple(self._entries)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MillContext:
-    """What the parts of a mill's owner share.
+    """The context that the parts of a mill's owner share.
 
     clock, wall_clock : seconds that nobody sets; seconds since 1970
     """
@@ -115,10 +115,10 @@ class MillContext:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MillSnapshot:
-    """All of a mill at one moment.
+    """The state of a mill at one moment.
 
-    settings : as the controller has reported them; None where the link reports none
-    run      : the run the mill is about: the live one, else the one touched last
+    settings : as the controller has reported them; None if the link reports none
+    run      : the current run: the live one, else the last one
     runs     : all that are known, newest first
     latched  : "hold" or "abort" asked for while the link was away; carried out first when it is back
     problem  : why there is no link, in words
@@ -126,7 +126,7 @@ class MillSnapshot:
     zeroed   : axes whose work zero was set on this link, as far as the position is still trusted
     zeroed_anew : those of them that were set since a program last started
     homed    : a homing cycle was carried out on this link, and the position was not lost since
-    setup    : digest of what a start rests on: the zero and whether it can be trusted
+    setup    : digest of the facts on which a start depends: the zero and whether it can be trusted
     stops    : how often the mill was stopped by an order since its owner was started
     lease    : who has control
     events   : the latest, oldest first
@@ -157,7 +157,7 @@ class MillSnapshot:
         return self.status.state not in (MillState.DISCONNECTED, MillState.CONNECTING)
 
     def as_dict(self) -> dict[str, Any]:
-        told = {
+        snapshot = {
             "version": self.version,
             "name": self.name,
             "connected": self.connected,
@@ -175,8 +175,8 @@ class MillSnapshot:
             "stops": self.stops,
             "control": None if self.lease is None else self.lease.as_dict(),
         }
-        return told | {
-            "phrases": phrases_in(told),
+        return snapshot | {
+            "phrases": phrases_in(snapshot),
             "run": self.run.as_dict() if self.run is not None else None,
             "events": [entry.as_dict() for entry in self.events],
         }

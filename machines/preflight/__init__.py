@@ -1,1 +1,1 @@
-"""A program held against the mill before it moves: extents, time, rules, entry points."""
+"""Checks a program against the mill before it moves: extents, time, rules, entry points."""

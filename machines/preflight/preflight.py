@@ -1,6 +1,6 @@
-"""What is known of a program before it may run, as plain data kept as JSON: extents, feeds, time, index, warnings.
+"""The results of a program's pre-flight, as plain data stored as JSON: extents, feeds, time, index, warnings.
 
-And the limits that it is held against: the profile's figures, and the controller's own where it has reported them.
+Also the limits against which it is checked: the profile's figures, or the controller's own if it has reported them.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Bounds:
 
 
 class Finding(NamedTuple):
-    """What is worth a person's eye: the rule by its name in `machines.preflight.rules`, and the sentence.
+    """A finding for a person: the name of the rule in `machines.preflight.rules`, and the sentence.
 
-    is_fault : a job with it fails, and `check`
+    is_fault : it makes a job, and `check`, fail
     """
 
     code: str
@@ -42,7 +42,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preflight:
-    """One program, read whole.
+    """The pre-flight of one program, read whole.
 
     blocks            : lines that are sent (neither blank nor only a comment)
     bounds_mm         : box in the first frame of `bounds_by_frame`, which has all: "G54" ... "machine" (G53), "shifted"
@@ -52,7 +52,8 @@ class Preflight:
     time_s            : estimate for the mill's kinematics and link, without operator stops
     ends              : M2 or M30 was found
     mist_line         : the first line with M7, 0 if there is none: not every controller is built with it
-    assumed           : modes relied on without being said, e.g. ("G21", "G90"): check against $G before a start
+    assumed           : modes on which it relies without stating them, e.g. ("G21", "G90"): check against $G before a
+    start
     """
 
     sha256: str
@@ -122,7 +123,7 @@ def _bounds_from_plain(plain: Any) -> Bounds | None:
 
 
 AT_PRESENT_ZERO = "at the present work zero"
-"""So begins a warning that holds until the work zero is set again."""
+"""The beginning of a warning that holds until the work zero is set again."""
 
 _AXES = "XYZ"
 
@@ -131,10 +132,10 @@ _AXES = "XYZ"
 class MillLimits:
     """Travel, speeds and link of one mill; part of the cache key of a pre-flight.
 
-    bytes_per_s : of the wire; None where blocks do not go over a paced serial line
+    bytes_per_s : of the wire; None if blocks do not go over a paced serial line
     homing : machine coordinates mean something
     safe_z_mm, top_z_mm, work_offset : as in `machines.profile.MachineProfile`
-    mist   : the controller is built with M7; None if it has not said
+    mist   : the controller is built with M7; None if it has not reported that
     """
 
     profile: str
@@ -163,7 +164,7 @@ class MillLimits:
 
 
 def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
-    """Return the profile's figures with those of the controller in their place, as far as it has reported them."""
+    """Return the profile's figures, replaced by the controller's own as far as it has reported them."""
     reported = settings or ControllerSettings()
     fastest = reported.number(30)
     slowest = reported.number(31)
@@ -197,7 +198,7 @@ def _usable(triple: Triple | None) -> Triple | None:
 
 
 def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | None:
-    """Return the work zero in machine coordinates, from the controller's offsets; None where they do not give it."""
+    """Return the work zero in machine coordinates, from the controller's offsets; None if they lack it."""
     if wcs not in offsets:
         return None
     reported = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
@@ -206,15 +207,15 @@ def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | N
 
 
 def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
-    """Return the highest machine Z; None where it is not known."""
+    """Return the highest machine Z; None if it is not known."""
     return None if settings is None or settings.reach_mm is None else settings.reach_mm[2][1]
 
 
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[Phrase, ...]:
     """Return where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
 
-    To be asked right before a start: offsets change when the work is zeroed. Empty also where nothing can be said:
-    travel or offsets not known, or the machine has no homing.
+    Call it right before a start: offsets change when the work is zeroed. It is also empty if nothing can be said:
+    travel or offsets are not known, or the machine has no homing.
     """
     reach_mm, offsets = settings.reach_mm, settings.offsets
     if reach_mm is None or not offsets or not (settings.homing or settings.soft_limits):

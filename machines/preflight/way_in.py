@@ -1,8 +1,8 @@
 """The way in: from where the tool is parked to the first place that a program gives in X, Y and Z.
 
-Nobody knows where the tool stands when a program begins, nor what stands around the block. Only one way is safe from
-anywhere: straight up to the top of the mill or to the safe height, then across, then down. If the place of the tool is
-known, a way above the milled area is safe, too.
+When a program begins, the position of the tool and the obstacles around the block are not known. Only one path is safe
+from anywhere: straight up to the top of the mill or to the safe height, then across, then down. If the place of the
+tool is known, a way above the milled area is safe, too.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from machines.preflight.preflight import Bounds
 from phrases.phrase import Phrase
 
 MOST_LINES = 10_000
-"""Of a program, in which all three coordinates are looked for: a tenth of a second."""
+"""Bytes of a program that are searched for all three coordinates: a tenth of a second."""
 
 WAY_IN = "way-in"
 """Name of the rule."""
 
-_AT_TOP_MM = 5.0  # so far below its top a head counts as raised
+_AT_TOP_MM = 5.0  # a head counts as raised within this distance below its top
 _REPORTED_MM = 0.01  # half a step and the digits of a report
 
 
 class Motion(NamedTuple):
-    """One step on the way in. axes : of "XYZ" that it moves; all where it goes home along no axis that it names"""
+    """One step on the way in. axes : of "XYZ" that it moves; all if it goes home without naming an axis"""
 
     line: int
     step: Step
@@ -67,7 +67,7 @@ def read_way_in(lines: Iterable[tuple[int, bytes]], *, dialect: str, state: Moda
 def read_from_place(
     lines: Sequence[tuple[int, bytes]], *, dialect: str, wcs: str, place_mm: tuple[float, float, float]
 ) -> WayIn:
-    """Read the way in of a tool that stands at a known place of the work frame `wcs`."""
+    """Read the way in of a tool at a known position of the work frame `wcs`."""
     return read_way_in(lines, dialect=dialect, state=replace(ModalState(), wcs=wcs, position_mm=place_mm))
 
 
@@ -78,7 +78,7 @@ def find_risk(
 
     safe_z_mm : in the work frame; a way across is no lower
     top_z_mm  : machine Z of the raised head; None: 0
-    over      : what the program mills, where the tool's place is known: above it a rapid may be lower than safe_z_mm
+    over      : the milled area, if the tool's position is known: above it a rapid may be lower than safe_z_mm
     """
     raised, placed = False, set[str]()
     for line, step, axes in motions:

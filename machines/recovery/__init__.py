@@ -1,1 +1,1 @@
-"""How an interrupted run goes on: from the journal to a plan that a person confirms."""
+"""Recovery of an interrupted run: from the journal to a plan that a person confirms."""

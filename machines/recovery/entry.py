@@ -1,4 +1,6 @@
-"""Where a program can be entered again: the last move that was certainly cut, and the modal state before it."""
+"""Finds the line at which a program can be re-entered: the last move that was certainly cut, and the modal state before
+it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ _MOTIONS = ("G0", "G1", "G2", "G3")
 
 
 class NoEntryError(MachineError):
-    """The program cannot be entered there; the text says why and what else can be done."""
+    """The program cannot be entered there; the text gives the reason and the alternatives."""
 
     def __init__(self, line: int, why: Phrase) -> None:
         super().__init__(Phrase("line {line} cannot be entered: {why}", line=line, why=why))
@@ -28,7 +30,7 @@ class EntryPoint:
     """Send from `line` on, with `state` before it and the tool at `position_mm` (None: from the top of the program).
 
     motion : word to put before that line, which relies on an earlier motion word; "" if it has its own
-    why    : what moved the entry away from the usual place, in words
+    why    : the reason for an entry away from the usual place, in words
     """
 
     line: int
@@ -61,7 +63,7 @@ def _last_move(
     """
     interpreter = Interpreter(state, dialect=reader.index.dialect)
     best: tuple[int, bytes, Phrase | None] | None = None
-    stop = 0  # the stop after which no move has been seen yet
+    stop = 0  # the last stop, while no move after it has been seen
     begun = None not in state.position_mm  # before the first known place there is nothing to join
     for line in reader.lines(from_line):
         after = line.number > executed_line

@@ -1,4 +1,4 @@
-"""What must be done before a run can go on: a link, standstill, a position that can be trusted, the same work zero."""
+"""Needs that must be met before a run can go on: a link, standstill, a trusted position, the same work zero."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PLACE_MM = (
 )
 
 
-DOUBTS = {  # why machine coordinates may not mean what they meant when the run was cut
+DOUBTS = {  # why machine coordinates may have changed since the run was cut
     "restarted": Phrase("the controller has restarted since the run stopped, its position is lost"),
     "unconfirmed": Phrase("nobody had confirmed the position when the run stopped"),
     "settings": Phrase("settings that define the position have changed since the run stopped"),
@@ -29,7 +29,7 @@ _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 
 
 def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
-    """Return what keeps a mill from taking any program: at most one need."""
+    """Return what prevents a mill from taking any program: at most one need."""
     state = status.state
     values = {"state": state.value}
     if state in (MillState.DISCONNECTED, MillState.CONNECTING):
@@ -65,7 +65,7 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
         return
     if status.machine_mm is None and status.state is not MillState.IDLE:
-        return  # a controller that is held does not say in which unit it reports: the place is known after the reset
+        return  # a held controller does not state the unit of its reports: the position is known after the reset
     if status.state is MillState.IDLE and status.work_mm is None:
         words = Phrase("the mill has not reported its position yet: wait a second")
         yield Need(MillCode.CONNECT, words, {"state": status.state.value})
@@ -86,11 +86,11 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
 
 
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
-    """Return the key in DOUBTS that fits; "" where machine coordinates mean what they meant when the run was cut.
+    """Return the key in DOUBTS that applies; "" if machine coordinates are the same as when the run was cut.
 
-    Every link is judged here alike, old or new. Two things prove that a controller has kept its count while nobody
-    watched it: its feed or spindle is still set, or it stands where it was left. Changed settings of the frame leave
-    doubt even after homing: the part was cut with the old ones.
+    Every link is judged here alike, old or new. Either of two facts proves that a controller has kept its count while
+    unattended: its feed or spindle is still set, or it stands where it was left. If settings of the frame have changed,
+    there is doubt even after homing, because the part was cut with the old ones.
     """
     if present.frame_changes:
         return "settings"
@@ -112,11 +112,11 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
 
 
 def never_restarted(parser_state: str | None, at_start: str | None = None) -> bool:
-    """Return what was never set again: a restart sets feed, speed and spindle to nothing ($G: M5 F0 S0). What the
-    program has set was never reset.
+    """Return the modes that prove that there was no restart: a restart clears feed, speed and spindle ($G: M5 F0 S0),
+    so a value that the program has set shows that none happened.
 
-    at_start : $G before the program, when it was first started. What stood there already proves nothing: start-up
-               blocks ($N0) may have set it.
+    at_start : $G before the program, when it was first started. A value that was there already proves nothing: start-up
+    blocks ($N0) may have set it.
     """
     before = (at_start or "").split()
     words = [word for word in (parser_state or "").split() if word not in before]
@@ -167,9 +167,9 @@ def compare_offsets(
 
 
 def zero_back(record: Mapping[str, Any], present: Present, entry: EntryPoint | None) -> str:
-    """Return the block that puts back the work zero of this program; "" where it has not changed, or is not certain.
+    """Return the block that restores the work zero of this program; "" if it has not changed, or is not certain.
 
-    Machine coordinates mean the same as then only where the mill was homed then and is homed now.
+    Machine coordinates are the same as then only if the mill was homed then and is homed now.
     """
     wcs = entry.state.wcs if entry else "G54"
     then, now = (record.get("offsets") or {}).get(wcs), (present.offsets or {}).get(wcs)

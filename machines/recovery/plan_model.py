@@ -1,4 +1,4 @@
-"""What a recovery is made of: how the tool comes back, what is known of the mill, and the plan a person checks."""
+"""The parts of a recovery: how the tool returns, the state of the mill, and the plan that a person checks."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Reentry:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What must be done first. `code`: CONNECT, WAIT, STAND_STILL, UNLOCK, POSITION or ZERO."""
+    """A need that must be met first. `code`: CONNECT, WAIT, STAND_STILL, UNLOCK, POSITION or ZERO."""
 
     code: MillCode
     words: Phrase
@@ -51,13 +51,13 @@ class Need:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Present:
-    """What is known of the mill now. `offsets` and `parser_state` are None where the link does not report them.
+    """The present state of the mill. `offsets` and `parser_state` are None if the link does not report them.
 
     restarted : a restart of the controller was seen since the run stopped
-    frame_changes : settings of the frame that are others than when the run was cut, in figures
+    frame_changes : settings of the frame that have changed since the run was cut, in figures
     vouched_axes : axes of which a person has set the work zero anew since the run stopped
     homed : machine coordinates are those of a homing cycle
-    top_mm : highest machine Z that can be reached; None where that is not certain
+    top_mm : highest machine Z that can be reached; None if that is not certain
     """
 
     status: MillStatus
@@ -86,20 +86,20 @@ class Present:
 
 
 def _round(values_mm: Sequence[float] | None) -> list[float] | None:
-    """Round to what a controller reports."""
+    """Round to the digits that a controller reports."""
     return None if values_mm is None else [round(value, 3) + 0.0 for value in values_mm]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveryPlan:
-    """The way on. It may be carried out when `refusals` and `needs` are both empty.
+    """The plan of a recovery. It may be carried out when `refusals` and `needs` are both empty.
 
     executed_line : certainly cut up to here     resume_line : the next one
     overlap_line  : the line that is sent first  recut_lines : lines sent again
     position_mm   : where the tool is put down (work frame); None: the program starts from its top
     blocks        : sent before the program
-    zero_back     : a block that sets the work zero that the run was cut at; "" where it is the same, or not certain
-    spindle_on    : whether it turns now; None where the link does not report it
+    zero_back     : a block that restores the work zero at which the run was cut; "" if it is the same, or not certain
+    spindle_on    : whether it turns now; None if the link does not report it
     tool_mm       : where the tool is now (work frame)
     offsets       : all offsets now, by name
     """
@@ -169,9 +169,10 @@ class RecoveryPlan:
         return members | {"plan": self.digest, "phrases": phrases_in(members)}
 
     def with_place(self, problems: tuple[Phrase, ...], *, refused: bool) -> RecoveryPlan:
-        """Return the plan with what leaves the travel: a refusal where machine coordinates are certain, else a remark.
+        """Return the plan with the moves that leave the travel: as a refusal if machine coordinates are certain, else
+        as a remark.
 
-        They are not certain while anything has to be done first: a mill that must be homed counts from anywhere.
+        They are not certain while there are needs: a mill that must be homed counts from anywhere.
         """
         if not problems:
             return self

@@ -1,10 +1,10 @@
-"""How to go on with a run that was interrupted: from what the journal knows to a plan that a person can check.
+"""Plans the recovery of an interrupted run: from the journal to a plan that a person can check.
 
 The plan starts at the line after the last one that was *executed* for certain, steps back one move (so that the cut is
-joined, not butted), and brings the tool there from wherever it stands: spindle, straight up, across, down at plunging
-feed. Cutting something twice is harmless, skipping or starting in a wrong place is not; what cannot be rebuilt for
-certain is refused. Nothing here reads a clock, a port or a journal, and nothing moves. Where the link does not report
-positions, the sequence numbers between which the control stopped are named.
+joined, not butted), and brings the tool there from its position: spindle on, straight up, across, down at plunge feed.
+Cutting something twice is harmless; skipping, or starting in a wrong place, is not. A state that cannot be
+reconstructed with certainty is refused. Nothing here reads a clock, a port or a journal, and nothing moves. If the link
+does not report positions, the plan names the sequence numbers between which the control stopped.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ def height_mm(present: Present, wcs: str) -> float | None:
 def travel_height_mm(present: Present, wcs: str, facts: Preflight, reentry: Reentry) -> float:
     """Work Z at which the tool goes across: the safe height, or as high as the program goes, where that is higher.
 
-    Where the mill does not reach the safe height: as high as it gets, which is not below the program's own height.
+    If the mill does not reach the safe height, it is the greatest height that it reaches, which is not below the
+    program's own.
     """
     highest = facts.bounds_mm.most_mm[2] if facts.bounds_mm is not None else None
     wanted_mm = max(reentry.safe_z_mm, highest if highest is not None else reentry.safe_z_mm)
@@ -86,7 +87,7 @@ def _mm(value: float) -> str:
 
 
 def find_unreadable(blocks: Sequence[str]) -> Iterator[Phrase]:
-    """Read our own blocks as a program is read: what it refuses is never sent."""
+    """Read our own blocks like a program: blocks that would be refused are never sent."""
     interpreter = Interpreter(ModalState())
     for block in blocks:
         try:
@@ -99,7 +100,7 @@ def find_unreadable(blocks: Sequence[str]) -> Iterator[Phrase]:
 def plan_recovery(
     record: Mapping[str, Any], facts: Preflight, reader: ProgramReader, present: Present, reentry: Reentry
 ) -> RecoveryPlan:
-    """Plan from a run's journal (`record`), its program and the mill as it is now. Raises nothing but bugs."""
+    """Plan from a run's journal (`record`), its program and the mill's present state. Any exception is a bug."""
     executed = int(record.get("executed_line", 0))
     refusals: list[Phrase] = []
     entry: EntryPoint | None = None
@@ -227,7 +228,7 @@ def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: Prog
 
 
 def _name_line(reader: ProgramReader, line: int) -> Phrase:
-    """Return a line with the sequence number that holds there."""
+    """Return the name of a line with the sequence number in force there."""
     if not line:
         return Phrase("the start of the program")
     number = None

@@ -1,10 +1,10 @@
-"""What the place where a mill stands proves, after it went on alone with the lines it held.
+"""Finds what a mill has executed from the position at which it stands after it went on unattended with its buffered
+lines.
 
-A controller that lost its link carries out what it holds and stands at the end of a line that was sent. The first line
-of the program, from the last one known to be executed on, that the mill can stand on is believed: if a later one
-really was the last, the mill has passed this one. A mill that stands at the end of that line has cut it; one that
-stands within it has cut the line before. So more is sent again than need be where a path comes back to a place, never
-less.
+A controller that has lost its link executes its buffer and stops at the end of a line that was sent. The first line
+after the last one known to be executed on which the mill can stand is assumed: if a later line really was the last, the
+mill has passed this one. A mill at the end of that line has cut it; a mill within it has cut the line before. So if a
+path returns to a place, more lines may be sent again than necessary, but never fewer.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from machines.preflight.preflight import work_zero_mm
 from machines.recovery.needs import OFFSET_TOLERANCE_MM
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
-_LINES_BEFORE_PLACE = 200  # a program has given all axes by then
-_STEP_MM = 0.01  # where the controller does not report one
+_LINES_BEFORE_PLACE = 200  # by then a program has given all axes
+_STEP_MM = 0.01  # if the controller does not report one
 
 
 def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
-    """Return how far a mill that stands at the end of a line may be reported from it, per axis.
+    """Return how far from the end of a line a mill that stands there may be reported, per axis.
 
     Half a step of the axis, and half the last digit of the position and of each of G54, G92 and tool length. Larger is
-    safer: a line believed too early is cut again.
+    safer: a line that is assumed too early is cut again.
     """
     digit_mm = 0.0001 * MM_PER_INCH if settings.reports_in_inch else 0.001
     step_mm = max(settings.step_mm or (_STEP_MM,))
@@ -38,7 +38,7 @@ def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
 
 
 def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
-    """Work zero of a run in machine coordinates, from its journal; None where that is not certain."""
+    """Work zero of a run in machine coordinates, from its journal; None if that is not certain."""
     zero_mm, reported = work_zero_mm(record.get("offsets") or {}, wcs), record.get("work_offset_mm")
     if zero_mm is None or reported is None:
         return None
@@ -96,7 +96,7 @@ def _first_place(
         now = interpreter.state
         place_is_known = not (step.moves and (step.probes or None in step.end_mm))
         if not place_is_known or now.shifted or now.wcs != wcs or step.withholds_ok:
-            break  # from here on the program does not say where the mill stands, or a person has come between
+            break  # from here on the program does not determine the mill's position, or a person may have moved it
         if step.moves and step.distance_mm(place_mm) <= 3**0.5 * tolerance_mm:
             return line.number if _at(step.end_mm, place_mm, tolerance_mm) else before
         before = line.number

@@ -1,9 +1,9 @@
-"""One program on its way into the MDX-40A, a block at a time: the mill's byte counter says when the next may go, and
-its reported positions say which lines are certainly cut.
+"""Feeds one program to the MDX-40A, a block at a time: the mill's byte counter shows when the next block may be sent,
+and its reported positions show which lines are certainly cut.
 
 Lines are executed in order. If a report lies on several lines (a path that comes back), the earliest of those not yet
-known to be cut is taken: the line really being cut matches its own position, so nothing before the earliest match can
-be uncut. Where no line matches (blended corner, dwell off the path), nothing is learned.
+known to be cut is assumed: the line being cut matches its own position, so nothing before the earliest match can be
+uncut. If no line matches (blended corner, dwell off the path), nothing is concluded.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _MOVES_FRAME = re.compile(rb"G(5[5-9]|92|10|52|43|68)(?!\d)")  # G54 is read bef
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """What one line does: its moves, and the highest Z they reach [mm, work frame], None if that is not known."""
+    """The motion of one line: its moves, and their highest Z [mm, work frame], None if that is not known."""
 
     ways: tuple[Step, ...]
     highest_z_mm: float | None
@@ -65,10 +65,10 @@ def rml_reader(start_mm: Triple | None = None) -> Callable[[bytes], Travel]:
 
 @dataclass(slots=True)
 class Follower:
-    """Lines taken by the mill and not yet known to be cut."""
+    """Tracks the lines that the mill has taken and that are not yet known to be cut."""
 
     executed_line: int = 0
-    lost: bool = False  # too many lines without a match: nothing more can be said until the mill stands still
+    lost: bool = False  # too many lines without a match: nothing is known until the mill stands still
     _pending: deque[tuple[int, tuple[Step, ...]]] = field(default_factory=deque)
     _last_line: int = 0
 
@@ -91,7 +91,7 @@ class Follower:
                 return
 
     def finish(self) -> None:
-        """Count all as executed that the mill was given."""
+        """Count all lines sent to the mill as executed."""
         self._pending.clear()
         self._note_done(self._last_line)
         self.lost = False
@@ -101,7 +101,7 @@ class Follower:
 
 
 class FeedFault(Exception):
-    """Why no further block may go."""
+    """The reason why no further block may be sent."""
 
     def __init__(self, cause: FaultCause, words: Phrase, line: int) -> None:
         super().__init__(words)
@@ -112,7 +112,7 @@ class FeedFault(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ByteBlock:
-    """What is under way: its line, its bytes, what it does, and the counter when the mill has all of it."""
+    """The block under way: its line, its bytes, its motion, and the counter when the mill has all of it."""
 
     line: ProgramLine
     data: bytes
@@ -121,7 +121,7 @@ class ByteBlock:
 
 
 class BlockFeed:
-    """`turn` does all the work; the rest is what there is to know about it.
+    """`turn` does all the work; the other members report its state.
 
     origin_mm : machine position of the program's zero; None if not known, then positions say nothing about lines
     here_mm   : where the mill stands before the first block, in the program's frame
@@ -148,12 +148,12 @@ class BlockFeed:
         self._next: ByteBlock | None = None  # read, not sent
         self.ended = False  # every line has been given and counted
         self.changed_s = device.clock()  # when the counter last moved
-        self.wait_s = _FIRST_WAIT_S  # until it is worth asking again
+        self.wait_s = _FIRST_WAIT_S  # before the counter is read again
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.frame_left_at = 0  # line that left the frame whose origin we know
 
     def turn(self, device: Mdx40aDevice, *, may_send: bool, require: Require) -> None:
-        """Take the mill's byte count; then send the next block if `may_send`. FeedFault ends the feed.
+        """Read the mill's byte count; then send the next block if `may_send`. FeedFault ends the feed.
 
         require : called when only the write of the block is left; the block waits if it raises
         """
@@ -228,7 +228,7 @@ class BlockFeed:
             self.sent_line, self.sent_offset = line.number, line.offset
 
     def _refuse_above_the_top(self, line: ProgramLine, travel: Travel) -> None:
-        """Refuse what lies above machine Z0, which the mill flattens: all that follows becomes rapids at Z0
+        """Refuse moves above machine Z0, because the mill clips them: all that follows becomes rapids at Z0
         (rollingmill's notes).
         """
         if self.origin_mm is None or travel.highest_z_mm is None:
@@ -246,7 +246,7 @@ class BlockFeed:
             )
 
     def _begin_program(self, first: ProgramLine) -> tuple[ProgramLine, ...]:
-        """Begin NC code with % and O and eight digits, as it must; a program read from the middle has lost them."""
+        """Begin NC code with % and O and eight digits, as required; a program read from the middle lacks them."""
         if self._is_rml or first.text[:1] in (b"%", b"("):
             return ()
         mark = ProgramLine(0, first.offset, b"%")

@@ -1,4 +1,4 @@
-"""The job of an MDX-40A: one program within the job bracket, held, aborted and ended by what the mill reports."""
+"""The job of an MDX-40A: one program within the job bracket, held, aborted and ended by the mill's reports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from machines.roland.usb_device import DeviceState, Mdx40aDevice, read_work_orig
 from phrases.phrase import NO_WORDS, Phrase, join
 
 _STILL_S = 0.6  # three reports without motion
-_STALL_S = 60.0  # neither counter nor position moves, nobody paused it
+_STALL_S = 60.0  # neither counter nor position changes, and it is not paused
 _PAUSED = Phrase("the mill waits (VIEW lamp): hold its VIEW button for 3 s to go on")
 _DRAINS = Phrase(
     "no more blocks are fed; the mill finishes the few it holds. To stop it at once: VIEW button (pause) or cover "
@@ -34,7 +34,7 @@ _DRAINS = Phrase(
 
 
 class JobControl:
-    """Owns the program under way, what was asked of it, and since when the mill stands.
+    """Owns the program under way, the orders to it, and the time since which the mill stands.
 
     feed : from start until the mill has executed or dropped it
     """
@@ -48,7 +48,7 @@ class JobControl:
 
     @property
     def next_turn_s(self) -> float:
-        """Seconds until it is worth asking for the byte counter again."""
+        """Seconds until the byte counter should be read again."""
         return self.feed.wait_s if self.feed is not None and self.feed.block is not None else inf
 
     def note_change(self, now_s: float) -> None:
@@ -112,14 +112,14 @@ class JobControl:
         self._channel.enter(MillState.HOLDING, Phrase("stopping"))
 
     def drop(self) -> None:
-        """Forget the program: the link is gone."""
+        """Drop the program: the link is lost."""
         self.count()
         self.feed = None
         self._held = self._aborting = False
         self._channel.end_stream()
 
     def turn(self, device: Mdx40aDevice, require: Require = allow_always) -> None:
-        """Take the mill's byte count, and send the next block if the state and `require` allow it."""
+        """Read the mill's byte count, and send the next block if the state and `require` allow it."""
         feed = self.feed
         if feed is None or self._aborting:
             return
@@ -135,11 +135,11 @@ class JobControl:
             )
             self._channel.events.append(Notice(words))
         if feed.ended and not ended:
-            self._still_since_s = device.clock()  # what it still holds may not have begun to move
+            self._still_since_s = device.clock()  # the blocks that it still holds may not have begun to move
         self.count()
 
     def follow(self, device: Mdx40aDevice, state: DeviceState, now_s: float, *, failed: bool) -> None:
-        """Compare the job with a report, and end it where the report says so."""
+        """Compare the job with a report, and end it if the report says so."""
         feed, still = self.feed, now_s - self._still_since_s >= _STILL_S
         if feed is not None and (failed or state.door_open):
             self._end_by_device_fault(device, feed, state, now_s, failed=failed)
@@ -211,7 +211,7 @@ class JobControl:
             self._channel.enter(MillState.DOOR, words)
 
     def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: Phrase, now_s: float) -> None:
-        """End the stream, and stop the mill in the one way that is known."""
+        """End the stream, and stop the mill in the only known way."""
         feed = self.feed
         line = feed.block.line.number if feed and feed.block else self._channel.progress.sent_line
         device.stop_motion()
@@ -229,7 +229,7 @@ class JobControl:
         self._channel.progress = replace(progress, streaming=False, bytes_in_flight=0, lines_in_flight=0)
 
     def count(self) -> None:
-        """Renew the progress."""
+        """Update the progress."""
         feed = self.feed
         if feed is None:
             return

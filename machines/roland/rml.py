@@ -1,4 +1,4 @@
-"""RML-1 programs: what commands there are, what each does, and whether a whole program may be sent to a mill.
+"""RML-1 programs: the commands, their effects, and whether a whole program may be sent to a mill.
 
     facts = check_rml(chunks, profile)          raises ProgramRefusedError with the line and the command
 
@@ -70,7 +70,7 @@ REFUSED = {
 
 
 class RmlFault(ValueError):
-    """What is wrong with one command, in words."""
+    """The fault of one command, in words."""
 
     def __init__(self, words: Phrase) -> None:
         super().__init__(words)
@@ -103,7 +103,7 @@ def parse(text: bytes) -> Command | None:
         if _LOOKS_LIKE_NC.match(body):
             raise RmlFault(Phrase('is not an RML-1 command; NC code needs a machine with dialect = "roland-nc"'))
         raise RmlFault(_NO_COMMAND)
-    if b"\n" in body:  # a line is what the mill is fed with and what recovery counts by
+    if b"\n" in body:  # the mill is fed by lines, and recovery counts lines
         raise RmlFault(Phrase("goes on in the next line; end each command with ';' on its own line"))
     name = found[1].decode("ascii")
     rest = body[found.end() :].strip()
@@ -122,7 +122,7 @@ def parse(text: bytes) -> Command | None:
 
 
 def spindle_rpm(code: float, slowest: float, fastest: float) -> float:
-    """Return the speed that `!RC code` asks for: 0..15 evenly over the range, more is the speed itself."""
+    """Return the speed for `!RC code`: 0..15 evenly over the range; more is the speed itself."""
     return slowest + code * (fastest - slowest) / SPEED_CODES if code <= SPEED_CODES else code
 
 
@@ -245,9 +245,9 @@ class RmlInterpreter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RmlFacts:
-    """What a whole program does. Bounds in the user frame, lowest and highest corner; None if it never moves.
+    """Facts about a whole program. Bounds in the user frame, lowest and highest corner; None if it never moves.
 
-    time_s : way over speed, each axis at most at its rate; no acceleration, so the mill takes longer
+    time_s : distance over speed, each axis at most at its rate; without acceleration, so the mill takes longer
     ends   : the program ends with the spindle off
     motions, way_in, last_z_mm : as in `machines.preflight.rules.Reading`
     """

@@ -1,8 +1,8 @@
 """Roland mills on RS-232 with hardware handshake (MDX-15/20, EGX, PNC families): bytes go while the mill keeps CTS up.
 
-The port does the handshake (flow = "rtscts"); the driver sees to it that little waits in the port, so that a hold
-stops soon. Nothing comes back: RML-1 has no line numbers and no position query, so what is executed is only ever
-bounded from below.
+The port does the handshake (flow = "rtscts"); the driver keeps the number of bytes waiting in the port small, so that a
+hold stops soon. The mill sends nothing: RML-1 has no line numbers and no position query, so only a lower bound of what
+is executed is known.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class RolandSerialDriver(OneWayDriver):
         return max(self._pace.count_queued(now_s), self._count_unsent_of_port())
 
     def _may_send(self) -> bool:
-        """Return whether the tty has let go of what it had: while CTS is down nothing more is put on top."""
+        """Return whether the tty has sent its bytes: while CTS is down no more are added."""
         return self._count_unsent_of_port() < _QUEUED
 
     def _turn(self) -> float:

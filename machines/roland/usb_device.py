@@ -1,9 +1,10 @@
 """The MDX-40A through the `rollingmill` library (extra [roland]), as the device that usb_driver works with.
 
 State, ping, counter, job bracket and program bytes go straight to the library's transfers: its machine class swallows
-errors of the link there and logs every block. What is asked once (command set, origins, error text) goes through it.
+link errors in these and logs every block. One-time queries (command set, origins, error text) go through the machine
+class.
 
-What the mill says is read into values of ours. Source: rollingmill 0.1.0 (MIT), machine.py, usb.py and its docs
+The mill's answers are decoded into our own types. Source: rollingmill 0.1.0 (MIT), machine.py, usb.py and its docs
 (reverse engineered, run by its author on a real MDX-40A). Bits of the 32-byte state block (GET 0x0100, big-endian) and
 of the ping word (GET 0x0001, little-endian).
 """
@@ -80,14 +81,14 @@ class Mdx40aDevice(Protocol):
 
     def clock(self) -> float: ...
     def wait(self, timeout_s: float) -> None:
-        """Let time pass; `wake` from any thread ends it."""
+        """Wait; `wake` from any thread ends the wait."""
         ...
 
     def wake(self) -> None: ...
     def ping(self) -> int: ...
     def read_state(self) -> DeviceState: ...
     def read_counter(self) -> int:
-        """Return bytes of program taken since power-up, modulo 2^32."""
+        """Return the number of program bytes taken since power-up, modulo 2^32."""
         ...
 
     def begin_job(self) -> None: ...
@@ -96,7 +97,7 @@ class Mdx40aDevice(Protocol):
     def stop_motion(self) -> None: ...
     def model(self) -> str: ...
     def command_set(self) -> int | None:
-        """Return the key of COMMAND_SETS; None if it does not say."""
+        """Return the key of COMMAND_SETS; None if the mill does not report it."""
         ...
 
     def error_words(self) -> str: ...
@@ -110,7 +111,7 @@ class Mdx40aDevice(Protocol):
 
 
 def check_command_set(device: Mdx40aDevice, dialect: str) -> None:
-    """Raise NotAllowedError where the mill reads the other language: that hangs it until it is switched off."""
+    """Raise NotAllowedError if the mill reads the other language: such a program hangs it until it is switched off."""
     is_rml, found = dialect == RML, device.command_set()
     if found is not None and found == (1 if is_rml else 0):
         wanted = "RML-1" if is_rml else "NC code"
@@ -125,7 +126,7 @@ def check_command_set(device: Mdx40aDevice, dialect: str) -> None:
 
 
 def read_work_origin_mm(device: Mdx40aDevice, dialect: str) -> Triple | None:
-    """Return the machine position of a program's zero; None where the mill does not say."""
+    """Return the machine position of a program's zero; None if the mill does not report it."""
     if dialect == RML:
         return device.origin_mm(_USER_SLOT)
     origin, extra = device.origin_mm(_G54_SLOT), device.origin_mm(_EXOFS_SLOT)
@@ -135,7 +136,7 @@ def read_work_origin_mm(device: Mdx40aDevice, dialect: str) -> Triple | None:
 
 
 def to_work_mm(machine_mm: Triple, origin_mm: Triple | None) -> Triple | None:
-    """Return a machine position in the work frame; None where its origin is not known."""
+    """Return a machine position in the work frame; None if its origin is not known."""
     if origin_mm is None:
         return None
     return (machine_mm[0] - origin_mm[0], machine_mm[1] - origin_mm[1], machine_mm[2] - origin_mm[2])

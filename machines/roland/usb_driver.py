@@ -1,8 +1,9 @@
 """The MDX-40A on its own USB link: one block under way, the mill's byte counter says when the next may go.
 
-The counter says *taken into the mill's buffer*, a few blocks before they are cut; what is cut comes from the reported
-position. Nothing over USB is confirmed to pause a running job, so hold means: feed no more. The mill finishes the few
-blocks it has and stands; the VIEW button pauses it at once, opening the cover stops it as an emergency stop.
+The counter means *taken into the mill's buffer*, a few blocks before they are cut; progress of the cut is read from the
+reported position. No USB command is confirmed to pause a running job, so a hold means that no more is sent. The mill
+finishes the few blocks it has and stands; the VIEW button pauses it at once, opening the cover stops it as an emergency
+stop.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ class RolandUsbDriver:
         return self._channel.take_events()
 
     def _poll(self, device: Mdx40aDevice, deadline_s: float) -> None:
-        """Read and feed until something has happened, the deadline is over, or somebody calls `wake`."""
+        """Read and feed until something has happened, the deadline has passed, or `wake` is called."""
         while True:
             now_s = device.clock()
             if now_s >= self._report_at_s:
@@ -111,7 +112,7 @@ class RolandUsbDriver:
             self._device.wake()
 
     def urge(self, stop: str) -> bool:
-        return False  # nothing over this link is known to pause a job
+        return False  # no command over this link is known to pause a job
 
     def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
         device, state = self._device, self.status.state
@@ -143,7 +144,7 @@ class RolandUsbDriver:
         self._hold_if_stopped(require)
 
     def _hold_if_stopped(self, require: Require) -> None:
-        """Hold where a stop came while the first block was written."""
+        """Hold if a stop came while the first block was being written."""
         try:
             require()
         except MachineError:
@@ -203,7 +204,7 @@ class RolandUsbDriver:
             if self._job.feed is not None:
                 device.end_job()
         except PortError:
-            pass  # it is gone already: there is nothing left to tell it
+            pass  # it is gone already: nothing can be sent to it
         finally:
             self._job.feed = None
             device.close()
@@ -235,7 +236,7 @@ class RolandUsbDriver:
         line = self.progress.sent_line
         self._job.drop()
         if device is not None:
-            device.close()  # lets go of the interface, so that the mill can be opened anew
+            device.close()  # release the interface, so that the mill can be opened again
         self._channel.update(position_trusted=False)
         self._channel.enter(MillState.DISCONNECTED, error.words)
         words = Phrase("{error}; the mill finishes the few blocks it holds, the spindle may stay on", error=error.words)

@@ -1,4 +1,4 @@
-"""Carrying out one block of G-code, in GRBL's order: each function is a task that yields what it waits for."""
+"""Executes one block of G-code in GRBL's order: each function is a task that yields what it waits for."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def is_out_of_travel(fw: Controller, point: Triple) -> bool:
 
 
 def _raise_soft_limit(fw: Controller) -> Task:
-    """Stop in good order, then ALARM:2; the line that asked for it is never answered."""
+    """Stop in good order, then ALARM:2; the line that caused it is never answered."""
     if fw.state == "Run":
         fw.soft_limit = True
         fw.state, fw.held = "Hold", False

@@ -1,10 +1,10 @@
-"""What a controller is: its state, what can be seen of it, and the task that carries out a line.
+"""A controller: its state, its visible reports, and the task that carries out a line.
 
 A line that has to wait (room in the planner, an empty buffer, a dwell, `~`) is a generator that yields what it waits
-for; everything that happens lets it go on through `go_on`. Only then is its `ok` sent and the next line looked at.
+for; every event resumes it through `go_on`. Only then is its `ok` sent and the next line read.
 
-The recording holds the path that was really cut, in physical coordinates. The probe's circuit is closed by a plane
-under the tool, or by a plate on the front left corner of a block.
+The recording holds the real path, in physical coordinates. The probe's circuit is closed by a plane under the tool, or
+by a plate on the front left corner of a block.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from machines.simulated.traits import Traits
 class CutSegment(NamedTuple):
     """One executed block, or the part of it between two stops.
 
-    start, end : mm, physical: relative to where the tool stood at the first power-up, whatever MPos says
+    start, end : mm, physical: relative to where the tool stood at the first power-up, independent of MPos
     rapid      : G0 (homing and jogs count as rapid: they are not part of a program)
     feed       : programmed feed in mm/min as it was planned (before overrides)
     spindle_on : at the end of this segment
@@ -65,7 +65,7 @@ class Recording:
 
 
 _NOISE_MM = 1e-10
-_STEPS = 60  # halves the way until it is below what a double tells
+_STEPS = 60  # halvings of the distance, down to the resolution of a double
 # What the task of a line can wait for; a number is a time to wait until.
 ROOM, EMPTY, NEVER = "room in the planner", "an empty buffer", "a reset"
 Task = Generator[str | float, None, None]
@@ -74,7 +74,7 @@ _SUSPENDED = ("Hold", "Door", "Sleep")
 
 
 def _compute_overlap_mm(traits: Traits, at_mm: Triple) -> float:
-    """Return how deep the tool is in what it touches, in physical coordinates; below 0: it does not touch."""
+    """Return the depth of the tool in the probed surface, in physical coordinates; below 0: no contact."""
     x, y, z = at_mm
     surface_mm, corner = traits.probe_surface_mm, traits.corner_plate
     if surface_mm is None:
@@ -90,7 +90,7 @@ def is_touching(traits: Traits, at_mm: Triple) -> bool:
 
 
 def find_contact(traits: Traits, start_mm: Triple, end_mm: Triple, *, shift_mm: Triple) -> Triple | None:
-    """Return where on a straight way contact begins or ends, None where it does neither.
+    """Return where contact begins or ends on a straight path, None if it does neither.
 
     shift_mm : from the coordinates of the way, and of the answer, to physical ones
     """
@@ -146,7 +146,7 @@ class Controller:
         self.power_on_state()
 
     def power_on_state(self) -> None:
-        """Begin as the processor does: nothing known but the EEPROM. The tool stays where it physically is."""
+        """Begin as the processor does: only the EEPROM is known. The tool stays at its physical position."""
         self.state = "Idle"
         self.stepper = Stepper(
             self.traits.planner_blocks,
@@ -156,13 +156,13 @@ class Controller:
             self._cut_piece,
             self._end_motion,
         )
-        self.wco_in = self.ov_in = 0  # status reports until WCO and Ov are told
+        self.wco_in = self.ov_in = 0  # status reports until the next ones with WCO and Ov
         self.task: Task | None = None
         self.waiting: str | float = ROOM
         self.after_task: Callable[[], None] | None = None
         self.held = False
         self.critical = False
-        self.alarm, self.alarm_until_s = 0, inf  # being said, and until when nothing else is done
+        self.alarm, self.alarm_until_s = 0, inf  # being reported, and until when nothing else is done
         self.reset_pending = False
         self.jog_cancel = False
         self.soft_limit = False
@@ -207,7 +207,7 @@ class Controller:
         return (kx * x + sx, ky * y + sy, kz * z + sz)
 
     def count_steps_anew(self, axis: int, before: float) -> None:
-        """Take over another $100-$102: GRBL counts steps, so the reported position is scaled and nothing moves.
+        """Apply a change of $100-$102: GRBL counts steps, so the reported position is scaled and nothing moves.
 
         The parser's own position stays in mm as it was: the next block moves this axis even if it does not name it.
         """
@@ -222,7 +222,7 @@ class Controller:
         return self.critical or self.alarm != 0 or self.state in _SUSPENDED
 
     def busy(self) -> bool:
-        """Return whether no line is read now."""
+        """Return whether the controller reads no lines now."""
         return self.task is not None or self.is_suspended()
 
     # -- the task of a line ----------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ class Controller:
         self.go_on()
 
     def go_on(self) -> None:
-        """Let the waiting task go on as far as it can."""
+        """Resume the waiting task as far as possible."""
         if self.alarm and self.now_s >= self.alarm_until_s:
             self.end_alarm()
         while self.task is not None and not self.is_suspended():
@@ -256,7 +256,7 @@ class Controller:
                     then()
 
     def wake_s(self) -> float:
-        """Return when the waiting task wants to go on by the clock, or an alarm has been said."""
+        """Return when the waiting task is due by the clock, or the report of an alarm ends."""
         if self.alarm:
             return self.alarm_until_s
         if self.task is None or not isinstance(self.waiting, float) or self.is_suspended():
@@ -264,20 +264,20 @@ class Controller:
         return self.waiting
 
     def start_cycle(self) -> None:
-        """Start the cycle where blocks wait and nobody holds them back."""
+        """Start the cycle if blocks wait and nothing holds them back."""
         if self.state == "Idle" and self.stepper.planner.blocks and not self.starved:
             self.state = "Run"
             self.stepper.start(self.now_s)
 
     def end_alarm(self) -> None:
-        """End an alarm that has been said."""
+        """End an alarm that has been reported."""
         raise NotImplementedError
 
     def stop_for_limit(self) -> None:
         """Stop: motion has ended because it would have left the travel."""
         raise NotImplementedError
 
-    # -- motion has got somewhere ----------------------------------------------------------------------------------
+    # -- progress of motion ----------------------------------------------------------------------------------------
     def _cut_piece(self, b: PlannedBlock, x: float, y: float, z: float, at_s: float, whole: bool) -> None:
         end, start = self.to_physical(x, y, z), self.to_physical(b.sx, b.sy, b.sz)
         b.sx, b.sy, b.sz = x, y, z

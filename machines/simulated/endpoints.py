@@ -29,7 +29,7 @@ _MOST_WAITING = 65536
 
 
 class MemoryPort:
-    """Implements machines.port.Port. No time passes but in `read`, which ends as soon as something has come.
+    """Implements machines.port.Port. Time passes only in `read`, which ends as soon as something has come.
 
     baud : of the host's side; None: no pacing. Not the mill's: both sides read garbage
     """
@@ -51,7 +51,9 @@ class MemoryPort:
         return self.mill.now_s
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come, at once; else time passes until something comes or the timeout is over (then b"")."""
+        """Return the received bytes at once; if there are none, let time pass until some come or the timeout is over
+        (then b"").
+        """
         mill = self.mill
         self._check()
         data = mill.output()
@@ -119,7 +121,7 @@ class Endpoint:
         raise NotImplementedError
 
     def _send(self, data: bytes) -> int:
-        """Return how many bytes went out; as many as given if nobody listens."""
+        """Return how many bytes were sent; all of them if no one listens."""
         raise NotImplementedError
 
     def _plug(self, connected: bool) -> None:
@@ -169,7 +171,7 @@ class Endpoint:
 
 
 class _Clock:
-    """Simulated time: its pace may change, but never what has passed."""
+    """Simulated time: its pace may change, but never the time that has passed."""
 
     def __init__(self, now_s: float) -> None:
         self._now_s = now_s

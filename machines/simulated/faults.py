@@ -1,5 +1,5 @@
-"""What goes wrong, when: faults on the wire and at the mill, by plan or by seed; which byte, line or reply of a plan is
-due and what becomes of it; and a log of what was done.
+"""Faults on the wire and at the mill, by plan or by seed: finds which byte, line or reply of the plan is due, applies
+the fault, and logs it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ KINDS = (*SENT_KINDS, *REPLY_KINDS, *MILL_KINDS)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """One fault. Exactly one of byte, line, at_s says when.
+    """One fault. Exactly one of byte, line and at_s gives its time.
 
     byte      : index of the byte on the wire, from 0: to the mill for SENT_KINDS and MILL_KINDS, from it for replies
     line      : with that line end received (from 1), or that `ok`/`error` reply sent (REPLY_KINDS)
@@ -80,7 +80,7 @@ def _random_fault(chance: random.Random, kind: str, lines: tuple[int, int]) -> F
     line = chance.randint(*lines)
     length_s = {"delay": 0.5, "delay-reply": 0.5, "eeprom-stall": 0.02, "disconnect": 2.0, "door": 3.0}.get(kind, 0.0)
     if kind in SENT_KINDS or kind == "drop-reply-byte":
-        # A byte somewhere in the middle of the lines, taking 20 bytes as the usual length of a line and 4 of an ok.
+        # A byte near the middle of the lines, assuming 20 bytes for a line and 4 for an ok.
         per_line = 4 if kind == "drop-reply-byte" else 20
         byte = line * per_line + chance.randrange(per_line)
         return Fault(kind=kind, byte=byte, mask=1 << chance.randrange(7), length_s=length_s * chance.random())
@@ -88,7 +88,7 @@ def _random_fault(chance: random.Random, kind: str, lines: tuple[int, int]) -> F
 
 
 def parse_fault(text: str) -> Fault:
-    """ "kind@line=120", "kind@byte=4711", "kind@t=12.5", with ":length" seconds appended where it lasts."""
+    """ "kind@line=120", "kind@byte=4711", "kind@t=12.5", with ":length" seconds appended if it has a duration."""
     kind, _, rest = text.partition("@")
     when, _, length = rest.partition(":")
     name, _, value = when.partition("=")
@@ -108,7 +108,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class Wired(Protocol):
-    """What a wire knows of the mill at its end."""
+    """The interface of the mill at the end of a wire."""
 
     @property
     def now_s(self) -> float: ...
@@ -147,7 +147,7 @@ class FaultWire:
 
     # -- to the mill -----------------------------------------------------------------------------------------------
     def carry(self, data: bytes, at_s: float) -> None:
-        """Hand data to the UART with the faults that fall into it."""
+        """Pass data to the UART with the faults that fall into it."""
         serial = self._mill.serial
         first, self._bytes = self._bytes, self._bytes + len(data)
         start = 0
@@ -202,7 +202,7 @@ class FaultWire:
 
     # -- from the mill ---------------------------------------------------------------------------------------------
     def reply(self, data: bytes) -> bytes:
-        """Return the bytes that really go out instead of these."""
+        """Return the bytes that are really sent in place of these."""
         first, self._reply_bytes = self._reply_bytes, self._reply_bytes + len(data)
         answer = data.startswith((b"ok", b"error"))
         self._answers += answer

@@ -1,5 +1,5 @@
-"""What interrupts motion, or changes its speed, and what lets it go on: alarms, stops that lose the position, hold,
-door, sleep, jog cancel and overrides.
+"""Interruptions of motion, changes of its speed, and resuming: alarms, stops that lose the position, hold, door, sleep,
+jog cancel and overrides.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ PROBING = (4, 5)
 
 
 def raise_alarm(fw: Controller, code: int) -> None:
-    """Report it and stand still for half a second; requests that come meanwhile are only noted.
+    """Report an alarm and stand still for half a second; requests that come meanwhile are only noted.
 
     A probe's alarm leaves the spindle on; all others have come with a reset of the firmware's own, which stops it.
     """
@@ -29,7 +29,7 @@ def stop_spindle(fw: Controller) -> None:
 
 
 def cut_off(fw: Controller, code: int) -> None:
-    """Switch the steppers off in motion: the position is no longer what is counted."""
+    """Switch the steppers off in motion: the counters no longer match the position."""
     x, y, z, block = fw.stepper.stop_dead(fw.now_s)
     if block is not None:
         slip = fw.traits.reset_slip_mm
@@ -44,7 +44,7 @@ def cut_off(fw: Controller, code: int) -> None:
 
 
 def hold(fw: Controller) -> None:
-    """Hold, asked for by `!` or the button."""
+    """Hold, as requested by `!` or the button."""
     if fw.state == "Run":
         fw.state, fw.held = "Hold", False
         fw.stepper.hold()

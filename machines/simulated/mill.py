@@ -18,16 +18,16 @@ from machines.simulated.serial_side import SerialSide
 from machines.simulated.traits import GRBL_11, Traits
 
 _OK = b"ok\r\n"
-# Events without any time between them, after which the model is taken to be caught in a loop of its own.
+# So many events without any time between them mean that the model is caught in an endless loop.
 MOST_AT_ONCE = 200_000
 _CAUSES = ("axes", "main loop", "timer of a line", "realtime byte", "event")
 BUTTONS = ("hold", "start", "reset", "door", "close-door", "limit")
 
 
 class MainLoop:
-    """Takes lines from the receive ring where the firmware is not busy.
+    """Takes lines from the receive ring when the firmware is not busy.
 
-    due_s : when the line now being parsed is carried out; inf where there is none
+    due_s : when the line now being parsed is carried out; inf if there is none
     """
 
     def __init__(self, firmware: Firmware, serial: SerialSide, lines_per_s: float | None) -> None:
@@ -37,7 +37,7 @@ class MainLoop:
         self._parse_s = 1.0 / lines_per_s if lines_per_s else 0.0
 
     def look_for_line(self, now_s: float) -> None:
-        """Begin to parse the next line, or with nothing to read, cycle start."""
+        """Begin to parse the next line; if there is none, do a cycle start."""
         fw, serial = self._firmware, self._serial
         if self.due_s != inf or fw.task is not None or fw.busy():
             return
@@ -67,7 +67,7 @@ class SimulatedMill:
 
     now_s      : simulated time
     recording  : the path really cut
-    firmware   : the controller's insides, for tests to look at
+    firmware   : the controller's internals, for tests
     serial     : UART with its counters (lost_overflow, lost_deaf, most_used)
     connected  : the cable is in; unplug() and replug() change it
     """
@@ -86,7 +86,7 @@ class SimulatedMill:
         self.chance = random.Random(seed)
         self.now_s = 0.0
         self.connected = True
-        self.cable = 0  # counts unplugs: a port opened before one is dead after it
+        self.cable = 0  # number of unplugs: a port that was opened before one is dead after it
         self.serial = SerialSide(traits.rx_bytes, traits.tx_bytes, crlf_answered_twice=traits.crlf_answered_twice)
         self._off = True
         self._events: list[tuple[float, int, Callable[[], None]]] = []
@@ -128,7 +128,7 @@ class SimulatedMill:
 
     # -- time ------------------------------------------------------------------------------------------------------
     def next_event_s(self) -> float:
-        """Return when something happens next."""
+        """Return the time of the next event."""
         queues = (self.serial.realtime, self._events)
         waiting = (queue[0][0] for queue in queues if queue)
         return min(self._main_loop.due_s, self.firmware.stepper.next_s, self.firmware.wake_s(), *waiting)
@@ -217,9 +217,9 @@ class SimulatedMill:
 
     # -- power, cable, buttons -------------------------------------------------------------------------------------
     def power_cycle(self, off_s: float = 1.0) -> None:
-        """Supply off and on: counters start at 0, the tool stays where it is (and loses steps if it moved)."""
+        """Switch power off and on: counters start at 0, the tool stays where it is (and loses steps if it moved)."""
         fw = self.firmware
-        self._off = True  # says nothing any more
+        self._off = True  # sends nothing from here on
         if fw.stepper.moving:
             fw.cut_off(3)
         fw.shift = fw.physical()  # from here on the counters say 0

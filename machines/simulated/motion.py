@@ -1,8 +1,8 @@
-"""From planned blocks to motion: the segment buffer, and the axes that execute one segment after the other.
+"""Executes planned blocks: the segment buffer, and the axes that execute one segment after the other.
 
 The buffer holds the planner's oldest blocks, cut into pieces of at most 10 ms, each with its speeds. A block is freed
-in the planner when its last piece goes in here, not when it is cut: with short blocks, as many as there are segments
-are still to come. A hold brakes behind what this buffer already holds.
+in the planner when its last piece enters this buffer, not when it is executed: with short blocks, as many blocks as
+there are segments are still to be executed. A hold brakes only after the segments that are already in this buffer.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _Phase = tuple[float, float, float]  # acceleration, remaining mm at its end, sp
 class SegmentBuffer:
     """Filled from a planner, emptied by the stepper.
 
-    queue   : block, mm of it that are left at begin and end of the segment, seconds, speed at its end
+    queue   : block, mm of it left at the start and at the end of the segment, seconds, speed at its end
     speed   : mm/s at the end of the segment prepared last
-    freed   : a planner slot came free since somebody looked
-    holding : it brakes, and takes nothing more from the planner
+    freed   : a planner slot has become free since the last look
+    holding : braking: takes nothing more from the planner
     """
 
     def __init__(self, planner: Planner, capacity: int, segment_s: float) -> None:
@@ -38,15 +38,15 @@ class SegmentBuffer:
         self._phases: list[_Phase] = []
         self._exit = 0.0
         self._braking_into_next = False
-        self._halted = False  # a hold has put its last segment in
+        self._halted = False  # the last segment of a hold is in the buffer
 
     def begin(self) -> None:
-        """Fill anew after a stop."""
+        """Start filling again after a stop."""
         self.holding = self._halted = False
         self.fill()
 
     def hold(self) -> None:
-        """Brake along the path behind what is in here already."""
+        """Brake along the path after the segments that are already in the buffer."""
         self.reload()
         self.holding = True
         self.fill()
@@ -58,7 +58,7 @@ class SegmentBuffer:
         self.speed = 0.0
 
     def give_back(self) -> None:
-        """Put what is in here back into the planner, to start from rest."""
+        """Return the contents of the buffer to the planner, to start from rest."""
         blocks = self._planner.blocks
         for b, start, _, _, _ in reversed(self.queue):
             b.remaining = start
@@ -74,7 +74,7 @@ class SegmentBuffer:
         self._planner.replan()
 
     def reload(self) -> None:
-        """Give the block being cut up a new speed profile from here, as the plan beyond it has changed."""
+        """Give the rest of the current block a new speed profile, because the plan beyond it has changed."""
         b = self._block
         if b is not None:
             b.entry2 = self.speed * self.speed
@@ -82,7 +82,7 @@ class SegmentBuffer:
             self._partial = True
 
     def fill(self) -> None:
-        """Take from the planner what there is room for."""
+        """Take as much from the planner as there is room for."""
         queue, blocks = self.queue, self._planner.blocks
         while len(queue) < self._capacity and not self._halted:
             b = self._block
@@ -170,7 +170,7 @@ class SegmentBuffer:
         self._phases = phases
 
     def _brake(self, b: PlannedBlock) -> None:
-        """Brake in full; the stop lies in this block if its length allows."""
+        """Brake fully; the stop is in this block if its length allows."""
         left = b.remaining - b.entry2 * 0.5 / b.accel
         if left >= 0.0:
             self._exit = 0.0
@@ -261,7 +261,7 @@ class Stepper:
         return self.segments.queue[0][0] if self.segments.queue else None
 
     def place(self, x: float, y: float, z: float) -> None:
-        """Take over a position known from elsewhere (homing, start), with nothing under way."""
+        """Set a position known from elsewhere (homing, start) while nothing moves."""
         self.x, self.y, self.z = x, y, z
         self.planner.x, self.planner.y, self.planner.z = x, y, z
 
@@ -274,14 +274,12 @@ class Stepper:
             self.next_s = at_s + self.segments.queue[0][3]
 
     def hold(self) -> None:
-        """Brake along the path as soon as the segment buffer lets us."""
+        """Brake along the path as soon as the segment buffer allows."""
         if self.moving and not self.segments.holding:
             self.segments.hold()
 
     def stop_dead(self, at_s: float) -> tuple[float, float, float, PlannedBlock | None]:
-        """Switch the steppers off in the middle of a motion: where it stood, and in which block. All buffers
-        are gone.
-        """
+        """Switch the steppers off in mid-motion; return the position and the block. All buffers are lost."""
         x, y, z = self.where(at_s)
         b = self.executing_block
         if b is not None:
@@ -291,7 +289,7 @@ class Stepper:
         return x, y, z, b
 
     def clear(self) -> None:
-        """Forget all blocks and stand where we are."""
+        """Forget all blocks and stay at the present position."""
         self.segments.clear()
         self.planner.clear()
         self.next_s = inf

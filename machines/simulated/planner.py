@@ -12,7 +12,7 @@ from math import sqrt
 MIN_SPEED = 1.0 / 60.0  # mm/s, the slowest GRBL moves
 _STRAIGHT = 0.999999
 _HUGE = 1e30
-_NOTHING = 1e-18  # mm2; shorter than any step: no block at all
+_NOTHING = 1e-18  # mm2; shorter than any step: no block is made
 
 
 class PlannedBlock:
@@ -155,8 +155,8 @@ class Planner:
         b.max_entry2 = nominal if nominal < b.junction2 else b.junction2
 
     def _recalculate(self, *, whole: bool = False) -> None:
-        """Compute entry speeds: backward so that every block can stop or slow down in time, then forward where it
-        speeds up.
+        """Compute entry speeds: backward so that every block can stop or slow down in time, then forward for
+        acceleration.
 
         The backward pass ends at the first block it does not change: all before it were found from the same figures.
         """
@@ -200,7 +200,7 @@ class Planner:
             self._planned -= 1
 
     def replan(self) -> None:
-        """Set all entry speeds anew, from the present state of the oldest block (after a hold)."""
+        """Recompute all entry speeds from the present state of the oldest block (after a hold)."""
         self._tail_changed()
         self._planned = 0
         self._recalculate(whole=True)

@@ -16,7 +16,9 @@ CRITICAL = (1, 2)  # wait for a reset
 
 
 def end_alarm(fw: Controller) -> None:
-    """End the half second: 1 and 2 forget a reset asked for meanwhile and wait for a new one, the rest go on."""
+    """End the half second: alarms 1 and 2 forget a reset that was requested meanwhile and wait for a new one, the
+    others go on.
+    """
     code, fw.alarm, fw.alarm_until_s = fw.alarm, 0, inf
     if code in CRITICAL:
         fw.critical, fw.reset_pending = True, False
@@ -31,7 +33,7 @@ def end_alarm(fw: Controller) -> None:
 
 
 def reset(fw: Controller) -> None:
-    """Reset as by Ctrl-X or the reset button: in motion ALARM:6 or ALARM:3, and the banner when that has been said."""
+    """Reset as by Ctrl-X or the reset button: in motion ALARM:6 or ALARM:3, and the banner after that."""
     stop_spindle(fw)
     if fw.alarm:
         fw.reset_pending = True
@@ -45,7 +47,7 @@ def reset(fw: Controller) -> None:
 
 
 def restart(fw: Controller, *, locked: bool) -> None:
-    """Start everything anew but the EEPROM and the stepper position."""
+    """Restart everything except the EEPROM and the stepper position."""
     at = (fw.stepper.x, fw.stepper.y, fw.stepper.z)
     fw.on_restart()
     fw.power_on_state()
@@ -104,7 +106,7 @@ def home(fw: Controller) -> Task:
 
 
 def _shift_for(fw: Controller, machine: Triple, physical: Triple) -> Triple:
-    """Return the shift with which these machine coordinates are that physical place."""
+    """Return the shift that maps these machine coordinates to that physical position."""
     x, y, z = (p - k * m for k, m, p in zip(fw.scale, machine, physical, strict=True))
     return (x, y, z)
 

@@ -1,4 +1,4 @@
-"""What kind of controller is modelled: firmware, sizes of its buffers, speeds, and which traps it has."""
+"""Traits of the simulated controller: firmware, buffer sizes, speeds, and traps."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Traits:
     """One controller with its traps.
 
     rx_bytes               : bytes the receive ring holds; one more is dropped
-    rx_advertised          : what `$I` says of it
+    rx_advertised          : the size that `$I` reports
     tx_bytes               : bytes the firmware can queue to be sent before its main loop waits
     line_chars             : code characters a line may have; one more is error:11
     planner_blocks         : usable slots of the planner

@@ -1,7 +1,7 @@
-"""Reading one line of G-code as GRBL's parser does: which words, in which order what is found wrong.
+"""Reads one line of G-code as GRBL's parser does: its words, and its errors in GRBL's order.
 
-Error numbers are those of GRBL 1.1 ("error:N"); they are raised where the parser of the firmware meets them: letter by
-letter for words, modal groups and repeats. What the words mean together is checked in `interpreter`.
+Error numbers are those of GRBL 1.1 ("error:N"); they are raised where the firmware's parser meets them: letter by
+letter for words, modal groups and repeats. The meaning of the words together is checked in `interpreter`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _G_GROUPS: dict[str, tuple[str, bool]] = {
     "G54": ("wcs", False), "G55": ("wcs", False), "G56": ("wcs", False), "G57": ("wcs", False),
     "G58": ("wcs", False), "G59": ("wcs", False), "G61": ("control", False),
 }  # fmt: skip
-# With these numbers any other fraction is "unsupported"; with the rest it is "not an integer".
+# For these numbers any other fraction is "unsupported"; for the rest it is "not an integer".
 _FRACTION_UNSUPPORTED = frozenset((28, 30, 92, 38, 43, 61, 90, 91))
 _M_GROUPS = {0: "flow", 1: "flow", 2: "flow", 30: "flow", 3: "spindle", 4: "spindle", 5: "spindle",
              7: "coolant", 8: "coolant", 9: "coolant"}  # fmt: skip
@@ -50,7 +50,7 @@ _M_GROUPS = {0: "flow", 1: "flow", 2: "flow", 30: "flow", 3: "spindle", 4: "spin
 class Words:
     """What one line says. commands: group -> command ("G1", "M3"); values: letter -> number, as written.
 
-    axis_command : "" | "motion" | "non-modal" | "tool-length": who takes the axis words
+    axis_command : "" | "motion" | "non-modal" | "tool-length": the command that takes the axis words
     """
 
     commands: dict[str, str] = field(default_factory=dict)

@@ -1,10 +1,10 @@
-"""From the fringes of both halves to the finish: k0 and order, with what they may be off by, and the wall's distance.
+"""Fits the finish to the fringes of both halves: k0 and order with their errors, and the wall's distance.
 
-Theory of operation. The half as milled says how strongly the wall, the mill and the light show the ripples (the lever
-and the blur); with those, the finished half says what is left of each ripple. All strips are fitted at once by the
-model of `fringes`; then each ripple by itself, with the rest as found, gives the points through which the curve goes
-and their errors. Errors of k0 and order come from the curve drawn again and again through ripples chosen anew, which
-counts what the model misses as well as the photograph's noise.
+Theory of operation. The half as milled determines how strongly wall, mill and light show the ripples (the lever and the
+blur). With these, the finished half shows what is left of each ripple. All strips are fitted at once by the model of
+`fringes`. Then each ripple separately, with the other parameters fixed, gives a point of the curve and its error.
+Errors of k0 and order come from refitting the curve through resampled ripples many times, which covers the model's
+errors as well as the photograph's noise.
 """
 
 from __future__ import annotations
@@ -31,23 +31,25 @@ from optics.finish import Finish
 from optics.heightfield import Array
 
 K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.5, 8.0)
-_FLOOR, _SLOPE_FLOOR = 0.012, 0.05  # what the model misses: of the mean light, and of what fringes differ from it
+_FLOOR, _SLOPE_FLOOR = 0.012, 0.05  # errors of the model: of the mean light, and of the contrast of fringes
 _BLUR_RANGE_MM = (0.004, 0.4)
-_SHIFT_MM = 0.03  # how well a photograph is laid over the piece
-_SOFTER_SPREAD = 0.05  # of the ratio of both halves' blur
-_LEVER_SPREAD = 0.05  # how well the wall's distance is known beforehand
+_SHIFT_MM = 0.03  # accuracy of registering a photograph with the piece
+_SOFTER_SPREAD = 0.05  # spread of the ratio of both halves' blur
+_LEVER_SPREAD = 0.05  # prior spread of the wall's distance
 _CHOICES = 200
-_OUTLIER = 6.0  # times what is expected
+_OUTLIER = 6.0  # times the expected error
 _LEAST_LEFT = 0.02
-_LEFT = np.linspace(0.0, 1.2, 81)  # shares of an amplitude that are tried
-_ASIDE = np.linspace(-0.045, 0.045, 7)  # mm by which a ripple may lie beside its place
+_LEFT = np.linspace(0.0, 1.2, 81)  # tried shares of an amplitude
+_ASIDE = np.linspace(-0.045, 0.045, 7)  # mm by which a ripple may be displaced
 _SEED = 5
-_PRIORS = np.array([1.5, 0.7])  # of ln k0 and ln order, about what was found: for ripples that leave one of them open
+_PRIORS = np.array(
+    [1.5, 0.7]
+)  # of ln k0 and ln order, around the result: for ripples that do not determine one of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RippleLeft:
-    """What a finish has left of one ripple: share of its amplitude, and its standard error."""
+    """The share of one ripple's amplitude that a finish has left, and its standard error."""
 
     period_mm: float
     k_rad_per_mm: float
@@ -57,13 +59,13 @@ class RippleLeft:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FinishFit:
-    """What the photograph says.
+    """The result of the fit.
 
     k0_range, order_range : of 68 % of the trials
     throw_mm     : of the wall from Z0, by the ramp
     blur_mm      : of the photograph on the wall, standard deviation, lamp and camera together
     mill_gain    : amplitude of ripples as milled over that of the programs
-    misfit       : rms of what is left over what was expected; about 1 where the model holds
+    misfit       : rms of the residuals over the expected errors; about 1 if the model holds
     """
 
     k0_rad_per_mm: float
@@ -85,10 +87,10 @@ class _Setting:
 
     k0: float
     order: float
-    lever: float  # over its nominal value
+    lever: float  # relative to its nominal value
     blur_mm: float  # of the milled half
     shifts: tuple[float, float, float, float]  # at the middle, and over 10 mm of y; milled half, then finished half
-    softer: float = 1.0  # the finished half than the milled one
+    softer: float = 1.0  # blur of the finished half relative to the milled one
 
     @classmethod
     def of(cls, vector: Array) -> _Setting:
@@ -118,7 +120,7 @@ class _Model:
         fit = [fold for fold in folds if fold.is_usable]
         pixels = {half: [fold.pixel_mm for fold in folds if fold.half == half] for half in ("left", "right")}
         other = "left" if finished == "right" else "right"
-        self.softer = float(np.mean(pixels[finished]) / np.mean(pixels[other]))  # where the camera makes the blur
+        self.softer = float(np.mean(pixels[finished]) / np.mean(pixels[other]))  # if the blur comes from the camera
         self.milled = [(of_strip[fold.strip], fold) for fold in fit if fold.half != finished]
         self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
         # Of a setting and its neighbours in k0, order and lever: those in the other parameters have the same light.
@@ -132,7 +134,7 @@ class _Model:
         return lambda scale: strip.light(scale * setting.lever * self.nominal_mm)
 
     def _light(self, profile: Profile, k0: float, order: float, lever: float) -> Complex:
-        """Return the light of a finished strip: nothing else of a setting has a part in it."""
+        """Return the light of a finished strip, which depends on no other parameter of a setting."""
         transfer = Finish(k0_rad_per_mm=k0, order=order).transfer
         return Finished.of(profile, transfer).light(lever * self.nominal_mm)
 
@@ -145,11 +147,11 @@ class _Model:
         finished: bool,
         aside_mm: float | Array = 0.0,
     ) -> Array:
-        """Return (bins,) of one strip, in units of what is expected; 0 where nothing is known. (n, bins) for n places
-        aside.
+        """Return (bins,) residuals of one strip, in units of the expected error; 0 where nothing is known. (n, bins)
+        for n displacements.
 
-        The strip's brightness is free. As milled the rows' marks carry light of the neighbours into a strip: there
-        fringes may be paler, too, down to a third.
+        The strip's brightness is free. In the half as milled, the rows' marks carry light from neighbouring strips, so
+        there the fringes may also be paler, down to a third.
         """
         strip = profile.strip
         shift = setting.shift_mm(strip.middle_mm, finished=finished) + aside_mm
@@ -186,9 +188,7 @@ class _Model:
         return np.concatenate([*parts, self.priors(vector)])
 
     def priors(self, vector: Array) -> Array:
-        """Return what was known before, as residuals: they count more than bins, which are not independent of one
-        another.
-        """
+        """Return the priors as residuals; they count more than bins, which are not independent of one another."""
         setting = _Setting.of(vector)
         softer = math.log(setting.softer / self.softer) / (_SOFTER_SPREAD + 0.5 * abs(math.log(self.softer)))
         shifts = (one / _SHIFT_MM for one in setting.shifts)
@@ -196,7 +196,7 @@ class _Model:
 
 
 def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], *, finished: Half) -> FinishFit:
-    """Return the finish of that half. Raises ValueError where no strip of either half can be used.
+    """Return the finish of that half. Raises ValueError if no strip of either half can be used.
 
     profiles : of all strips as the programs make them; folds : of all strips in both halves
     """
@@ -230,9 +230,10 @@ def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold
 
 
 def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], half: Half) -> float:
-    """Return how badly a half fits what the programs mill: rms of what is left over what is expected, outliers cut off.
+    """Return the misfit of a half with the milled form: rms of the residuals over the expected errors, outliers cut
+    off.
 
-    Some 1 for a half as milled, several for one that was finished; inf where nothing can be used.
+    About 1 for a half as milled, several for a finished one; inf if nothing is usable.
     """
     model = _Model(coupon, profiles, folds, "left" if half == "right" else "right")
     if not model.milled:
@@ -250,7 +251,7 @@ def _bounds() -> tuple[Array, Array]:
 
 
 def _sums(values: Array) -> Array:
-    """Return the sums over the bins, one for each place aside."""
+    """Return the sums over the bins, one for each displacement."""
     return values.sum(axis=-1, keepdims=True)
 
 
@@ -285,7 +286,7 @@ def _fit_as_milled(model: _Model) -> _Setting:
                 if cost < least:
                     best, least = setting, cost
     start, (low, high) = best.vector(), _bounds()
-    own = slice(2, 6)  # of the parameters: the finish and the finished half's place have no part in it
+    own = slice(2, 6)  # of the parameters: those of the finish and of the finished half's place are not involved
 
     def misses(part: Array) -> Array:
         vector = np.concatenate([start[:2], part, start[6:]])
@@ -297,7 +298,7 @@ def _fit_as_milled(model: _Model) -> _Setting:
 
 
 def _find_ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[RippleLeft]:
-    """Yield each ripple by itself: the share of its amplitude that fits best, the others as found."""
+    """Yield the best share of each ripple's amplitude, with the other parameters fixed."""
     out = []
     for profile, fold in model.finished if finished else model.milled:
         strip = profile.strip
@@ -306,7 +307,7 @@ def _find_ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> l
         nominal, curve = 1.0, setting
         if finished:
             nominal = float(setting.finish.transfer(np.array(strip.k_rad_per_mm)))
-        if nominal < _LEAST_LEFT:  # of a ripple that is gone nothing can be scaled up: as if so much were left
+        if nominal < _LEAST_LEFT:  # a ripple that has vanished cannot be scaled up: assume that this much is left
             nominal = _LEAST_LEFT
             k0 = strip.k_rad_per_mm / (-math.log(_LEAST_LEFT)) ** (1 / setting.order)
             curve = replace(setting, k0=k0)
@@ -324,9 +325,7 @@ def _find_ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> l
 
 
 def _find_minimum(costs: Array, scale: float) -> tuple[float, float]:
-    """Return where half a sum of squares is least, and how far from there it has grown by a standard deviation's
-    worth.
-    """
+    """Return the minimum of half a sum of squares, and the distance at which it has grown by one standard deviation."""
     best = int(costs.argmin())
     near = costs - costs[best] <= 2.0 * scale
     below, above = best, best
@@ -339,7 +338,7 @@ def _find_minimum(costs: Array, scale: float) -> tuple[float, float]:
     if 0 < best < costs.size - 1:
         bend = costs[best - 1] - 2 * costs[best] + costs[best + 1]
         share += 0.5 * step * float((costs[best - 1] - costs[best + 1]) / bend) if bend > 0 else 0.0
-    return share, max(0.005, 0.25 * step * (above - below + 1))  # two deviations to either side
+    return share, max(0.005, 0.25 * step * (above - below + 1))  # two deviations on either side
 
 
 def _find_ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -363,13 +362,15 @@ def _find_ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[f
 
 
 def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
-    """Return ln k0 and ln order of the curve nearest to the shares, kept by weak priors where they say little."""
+    """Return ln k0 and ln order of the curve nearest to the shares; weak priors hold them where the shares do not
+    determine them.
+    """
     at = start.copy()
     for _ in range(12):
         power = (k / math.exp(at[0])) ** math.exp(at[1])
         made = np.exp(-np.minimum(power, 50.0))
         steep = np.where(power < 50.0, made * power * math.exp(at[1]), 0.0)
-        error_now = error * np.hypot(1.0, (share - made) / (3.0 * error))  # a ripple that was misread counts little
+        error_now = error * np.hypot(1.0, (share - made) / (3.0 * error))  # a misread ripple counts little
         rows = np.stack([steep, -steep * np.log(k / math.exp(at[0]))], axis=1) / error_now[:, None]
         miss = np.append((share - made) / error_now, (start - at) / _PRIORS)
         step = np.linalg.lstsq(np.vstack([rows, np.diag(1 / _PRIORS)]), miss, rcond=None)[0]
@@ -379,7 +380,7 @@ def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
 
 
 def _fit_lever(model: _Model, setting: _Setting) -> tuple[float, float]:
-    """Return the way to the wall over its nominal one, by the ramp as milled, and its error."""
+    """Return the distance to the wall over the nominal one, from the ramp as milled, and its error."""
     for profile, fold in model.milled:
         if profile.strip.kind != "ramp":
             continue

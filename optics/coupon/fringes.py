@@ -1,8 +1,8 @@
 """The light of one strip of the test piece as harmonics of its period: as milled, and behind a finish.
 
 Theory of operation. A ray that leaves the piece at (x, y) arrives at (x, y) + lever grad z, the lever being the way to
-the wall times (n - 1): exact for small slopes, whether rays cross or not. Where light is looked at, in a window over
-some of the strip's height, its share of period is c_0 + 2 Re sum c_m exp(i m k x), with c_m the sum of exp(-i m k X)
+the wall times (n - 1): exact for small slopes, whether rays cross or not. In the observed window, over part of the
+strip's height, the light over the period is c_0 + 2 Re sum c_m exp(i m k x), with c_m the sum of exp(-i m k X)
 over all rays that arrive there (of one even ripple of strength m c_1 is the Bessel function J_1(m)). Blur of standard
 deviation s takes c_m down to exp(-(m k s)^2 / 2) of itself.
 
@@ -30,24 +30,24 @@ Transfer = Callable[[Array], Array]
 """(...,) share of a height's amplitude that is left, from its spatial frequency [rad/mm]."""
 
 ACROSS = 0.27
-"""Of a strip's height, on either side of its middle: where light is looked at."""
+"""Share of a strip's height, on either side of its middle, in which the light is observed."""
 
 LEVERS = np.linspace(0.05, 1.45, 57)
-"""Of the table as milled, over the nominal one."""
+"""Levers of the table as milled, relative to the nominal one."""
 
 _MOST = 20
-_SHARPEST_MM = 0.015  # blur below which no photograph is expected: harmonics beyond are nothing
+_SHARPEST_MM = 0.015  # least expected blur of a photograph: higher harmonics vanish
 _SAMPLES = 256  # in a period
 _BINS = 4096  # of a period, for harmonics to a few millionths
 _ENOUGH, _MOST_SKIPPED = 40, 5  # columns of a period as milled; of those, one in so many is looked at
 _Y_STEP_MM, _Y_HALF, _Y_STRIDE = 1 / 32, 128, 2
-_BEYOND_MM = 1.2  # of a strip: light from farther away is not its own
+_BEYOND_MM = 1.2  # of a strip: light from farther away belongs to others
 _SOFT_MM = 0.05  # of the window's borders, against the grid of samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Profile:
-    """A strip as the programs make it; phases count from the window's left end.
+    """A strip as milled by the programs; phases count from the window's left end.
 
     harmonics_mm (n,)     : amplitudes of the harmonics 1, 2, ... of its mean row
     milled (levers, m + 1): c_0 ... c_m of its light as milled, for LEVERS
@@ -150,7 +150,7 @@ class Finished:
         )
 
     def light(self, lever_mm: float) -> Complex:
-        """Return (m + 1,) c_0 ... c_m at that lever; neighbours are taken to give back, evenly, what leaves the
+        """Return (m + 1,) c_0 ... c_m at that lever; neighbours are assumed to return evenly the light that leaves the
         strip.
         """
         strip = self.strip

@@ -1,10 +1,10 @@
-"""Errors of a mill from row to row, from the grain that they give the light of the half as milled.
+"""Estimates a mill's errors from row to row from the grain in the light of the half as milled.
 
-Theory of operation. A row that lies too deep cuts a wider groove and takes from its neighbours; each groove throws its
-light over a few rows, so the light, evened out along the rows, has grain across them that grows with the errors. No
-formula has it: rows with errors of several sizes are made at random, cut, lit in one dimension and blurred as the
-photograph is, and the size whose grain is that of the photograph is the answer. The photograph's own noise is left out
-by multiplying two means of different columns.
+Theory of operation. A row that is too deep cuts a wider groove and takes from its neighbours. Each groove spreads its
+light over a few rows, so the light, averaged along the rows, has grain across them that grows with the errors. There is
+no formula: rows with random errors of several sizes are cut and lit in one dimension and blurred like the photograph,
+and the size with the photograph's grain is the result. Multiplying two means of different columns removes the
+photograph's own noise.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from optics.coupon.reading import Rectified
 from optics.heightfield import Array
 
 _TRIED_MM = np.geomspace(0.0001, 0.004, 12)
-_PIECES = 24  # made for each size
+_PIECES = 24  # random pieces for each size
 _RIM_MM, _SLOW_MM = 1.6, 0.5  # left out at either rim; slower changes are the strips' and the lamp's
 _BIN_MM = 0.05
 _SEED = 11
@@ -57,9 +57,9 @@ def measure_grain(picture: Rectified, clean: Array, half: Half) -> float:
 def fit_row_errors(
     grain: float, *, radius_mm: float, pitch_mm: float, lever_mm: float, blur_mm: float
 ) -> RowErrors:  # fmt: skip
-    """Return the size of row errors that gives light so much grain.
+    """Return the size of row errors that gives light this grain.
 
-    lever_mm : the way to the wall times (n - 1)
+    lever_mm : the distance to the wall times (n - 1)
     """
     level, spread = np.empty(_TRIED_MM.size), np.empty(_TRIED_MM.size)
     for number, sigma in enumerate(_TRIED_MM):
@@ -99,7 +99,7 @@ def _grain_of_rows(sigma_mm: float, radius_mm: float, pitch_mm: float, lever_mm:
 
 
 def _grooves(y_mm: Array, z_mm: Array, radius_mm: float) -> tuple[Array, Array, Array]:
-    """Return rows (n,) that others do not cut away, and from where to where each makes the surface.
+    """Return the rows (n,) that others do not cut away, and the interval of the surface that each makes.
 
     Of parabolas (y - y_j)^2 / 2R + z_j the lowest: those on the lower hull of the points (y_j, z_j + y_j^2 / 2R).
     """
@@ -118,6 +118,6 @@ def _grooves(y_mm: Array, z_mm: Array, radius_mm: float) -> tuple[Array, Array, 
 
 
 def _remove_slow(light: Array, step_mm: float) -> Array:
-    """Return what changes faster than the strips do, over the mean."""
+    """Return the part that changes faster than the strips, over the mean."""
     slow = gaussian_filter1d(light, _SLOW_MM / step_mm, mode="nearest")
     return np.asarray(light / np.maximum(slow, 1e-9) - 1.0)

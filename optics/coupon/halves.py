@@ -1,4 +1,4 @@
-"""The light of a piece of which one half is finished: either half by itself, added up on one screen."""
+"""The light of a piece of which one half is finished: each half by itself, added up on one screen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from optics.heightfield import Array, Heightfield
 from optics.milled import simulate_milled
 
 AROUND_MM = 4.0
-"""How far the screen reaches beyond the piece on all sides: what is dark there shows how bright black is."""
+"""How far the screen reaches beyond the piece on all sides: its darkness there shows the level of black."""
 
 _PAD_MM = 6.0
 
@@ -40,12 +40,10 @@ def screen_axes_mm(pixels: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def finish_heights(z_mm: Array, spacing_mm: float, transfer: Transfer) -> Array:
-    """Return heights (ny, nx) after a finish of the whole surface, which goes on beyond its rims as high as they
-    are.
-    """
+    """Return heights (ny, nx) after a finish of the whole surface, which is continued at its rims' height."""
     pad = round(_PAD_MM / spacing_mm)
     ny, nx = z_mm.shape
-    # Farther on two sides, to sizes without large prime factors: others take twice as long.
+    # Extended on two sides to sizes without large prime factors: others take twice as long.
     wide = np.pad(z_mm, [(pad, next_fast_len(n + 2 * pad, real=True) - n - pad) for n in (ny, nx)], mode="edge")
     level = float(wide.mean())
     ky = 2 * np.pi * np.fft.fftfreq(wide.shape[0], spacing_mm)
@@ -92,7 +90,7 @@ def light_of_facets(
 
 
 def _straight(pixels: tuple[int, int]) -> float:
-    """Return what light that goes straight through one half is in units of that half's light over the number of
+    """Return the irradiance of straight light through one half, in units of that half's light over the number of
     pixels.
     """
     bench = screen_bench(1.0, 1.5, "left")

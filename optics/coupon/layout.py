@@ -1,14 +1,14 @@
 """The shape of the test piece: strips of ripples, a ramp and a flat, the same on its left and on its right half.
 
 Theory of operation. Ripples run along x, as the rows of the mill do: a row that lies too high or too low bends light
-across the rows only, so that the fringes of a ripple stay clean even where the mill cuts its rows badly. Light that a
-ripple a cos(kx) bends makes fringes of the same period on the wall; their strength is m = throw (n - 1) k^2 a, rays
-cross where m > 1. A finish turns a into H(k) a, so one half is finished and the other left as it was milled: what
-differs between the halves is the finish: the wall, the lamp and the camera do the same to both.
+across the rows only, so that the fringes of a ripple stay clean even where the mill cuts its rows badly. A ripple a
+cos(kx) makes fringes of the same period on the wall. Their strength is m = throw (n - 1) k^2 a; rays cross if m > 1. A
+finish turns a into H(k) a. So one half is finished and the other left as milled: wall, lamp and camera affect both
+halves alike, and only the finish makes a difference.
 
 Amplitudes are just over odd multiples of half a step of the mill, about a level half a step under the flat, which is
-on a step: so slopes run from the step below a crest to the step above a trough, and no row of the flat has to choose
-between two steps. A coarse mill cuts short ripples stronger than one would wish, and their rays cross.
+on a step: so slopes run from the step below a crest to the step above a trough, and no row of the flat lies between two
+steps. On a coarse mill, short ripples come out stronger than wanted, and their rays cross.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ WINDOW_MM = 16.0
 WINDOW_BEGINS_MM = 2.0  # from the left end of its half
 _CYCLES = (4, 7, 11, 17, 23, 31, 39, 47)  # in the window: none is a multiple of another
 _CONTRAST = 0.45  # m that is wanted
-_OVER_STEP = 0.15  # half a step that a crest rises over its step: exactly on it, rounding makes steps of the slopes
-_LEAST_MM = 0.0005  # a ripple that no shaking of a mill drowns
+_OVER_STEP = 0.15  # half steps that a crest rises over its step: exactly on it, rounding would make steps
+_LEAST_MM = 0.0005  # least amplitude that stands out from a mill's vibration
 _RAMP_SLOPE, _RAMP_CYCLES, _RAMP_ROUNDING_MM = 0.02, 5, 0.08
 _RIM_MM = 1.0
 _STEEPEST = 0.04  # slope in y where a strip fades into the flat: light from there falls onto other strips
-_ENDS_MM = 0.4  # beyond the window on either side a ripple fades within this way
+_ENDS_MM = 0.4  # length in which a ripple fades out beyond either side of the window
 _SPOT_RADIUS_MM = 0.75
 _SPOTS_MM = ((0.85, 1.2), (0.85, 18.8), (39.15, 1.2), (39.15, 18.8), (20.0, 18.8), (0.85, 14.0))
 """Small lenses that focus on the wall: corners, and two more that distinguish left from right and top from bottom."""
@@ -72,13 +72,13 @@ class Strip:
 
     @property
     def fade_mm(self) -> float:
-        """Way in y, at either border, on which the strip fades into the flat."""
+        """Length in y, at either border, over which the strip fades into the flat."""
         return min(max(math.pi / 2 * self.amplitude_mm / _STEEPEST, 0.2), 0.8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coupon:
-    """What a piece is made for; its strips follow from it.
+    """The parameters of a piece, from which its strips follow.
 
     step_mm : of the mill's heights, 0 for none
     skim_mm : depth of its highest point under Z0
@@ -91,7 +91,7 @@ class Coupon:
 
     @property
     def strips(self) -> tuple[Strip, ...]:
-        """From the lowest y up; they leave a flat rim."""
+        """The strips from the lowest y up, with a flat rim around them."""
         ramp = _RAMP_SLOPE * WINDOW_MM / _RAMP_CYCLES / 4
         heights = (2.4, 3.0, 2.2, 1.6, 1.5, 1.4, 1.4, 1.4, 1.4, 1.7)
         rows: list[tuple[Kind, int, float]] = [("ramp", _RAMP_CYCLES, ramp)]
@@ -162,14 +162,12 @@ class Coupon:
 
 
 def share_of_strip(strip: Strip, y_mm: Array) -> Array:
-    """Return (ny,) how much of a strip's heights there is at y: 1 inside, fading into the flat within its own
-    borders.
-    """
+    """Return (ny,) the share of a strip's heights at each y: 1 inside, fading to 0 at its borders."""
     inside = np.minimum(y_mm - strip.low_mm, strip.high_mm - y_mm)
     return np.asarray(np.sin(np.clip(inside / strip.fade_mm, 0.0, 1.0) * math.pi / 2) ** 2)
 
 
 def window_mm(half: Half) -> tuple[float, float]:
-    """Return from where to where in x fringes are measured."""
+    """Return the least and greatest x between which fringes are measured."""
     begins = WINDOW_BEGINS_MM + (HALF_MM if half == "right" else 0.0)
     return begins, begins + WINDOW_MM

@@ -1,4 +1,4 @@
-"""What a rectified photograph of the test piece shows: each strip's light over one period, in either half."""
+"""Reads a rectified photograph of the test piece: each strip's light over one period, in either half."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from optics.coupon.layout import Coupon, Half, Strip, window_mm
 from optics.heightfield import Array
 
 BINS = 48
-_INSET_MM = 0.8  # of the window's ends: the ripple fades out beyond them, and a finish carries that inwards
+_INSET_MM = 0.8  # at the window's ends: the ripple fades out beyond them, and a finish spreads that inwards
 _FEW_WHITE, _MEDIAN_OFF = 0.02, 0.1
-_MOST_WHITE = 0.35  # of a bin's pixels: of more, their median is not to be relied on
+_MOST_WHITE = 0.35  # share of a bin's pixels; with more white ones their median is unreliable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,7 +80,7 @@ def fold_strip(picture: Rectified, strip: Strip, half: Half) -> Fold:
     cycle = (picture.x_mm[columns] - begin) / period
     number = (np.mod(cycle, 1.0) * BINS).astype(int) % BINS
     light = picture.light[part] / _trend(cycle, picture.light[part], usable)
-    light = np.where(white, np.inf, light)  # at least so bright: it stays on its side of a median
+    light = np.where(white, np.inf, light)  # at least that bright: this keeps it above the median
     seen = usable | white
     middle, error = np.zeros(BINS), np.full(BINS, np.inf)
     for one in range(BINS):
@@ -92,7 +92,7 @@ def fold_strip(picture: Rectified, strip: Strip, half: Half) -> Fold:
         error[one] = dark.std() / np.sqrt(dark.size)
         if dark.size >= (1.0 - _FEW_WHITE) * values.size:
             middle[one] = dark.mean()
-        else:  # a median leaves out how bright white was, but is no mean
+        else:  # a median does not depend on how bright white was, but it is not a mean
             middle[one] = np.median(values)
             error[one] = np.hypot(error[one], _MEDIAN_OFF * middle[one])
     scale = float(middle[np.isfinite(error)].mean()) if np.isfinite(error).any() else 1.0

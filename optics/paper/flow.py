@@ -4,7 +4,7 @@ Each vertex stands for one pixel q of the screen and moves over the lens: its pl
 from. A step takes D = L J - C (Eq. 2), J being the vertex's dual area on the lens over its dual area on the screen;
 solves Poisson's equation for phi on the mesh as it now lies (Eq. 3); and moves the vertices by grad(phi) dt (Eq. 4).
 
-What the paper leaves open, and what is done here:
+Details that the paper leaves open, and our choices:
 - The source of the Poisson equation is the excess light of each dual face, D times its area on the screen. The sources
   then add up to zero exactly, and dt = 1 is a full Newton step for L J = C: moving by grad(phi) changes a face by
   (its area) x laplace(phi) dt. Reading D as a density per area of the lens instead overshoots where J > 2 (a bright
@@ -18,8 +18,8 @@ What the paper leaves open, and what is done here:
 - Vertices stand on the centres of their pixels, so that faces are pixels; the outermost ones stand on the frame, where
   only the component along it is followed. Zero intensity has no continuous map: the target is lifted to a floor.
 
-What becomes of a mesh that gets stuck is `FlowSettings.remeshing`: nothing (here, as in the paper's section 4),
-vertices cut out and darts thrown (flow_darts, its section 5), or an even grid again (flow_even).
+`FlowSettings.remeshing` decides about a mesh that gets stuck: nothing (here, as in the paper's section 4), vertices cut
+out and darts thrown (flow_darts, its section 5), or an even grid again (flow_even).
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
 """The paper's flow with clean remeshing: a mesh that gets stuck is put back on an even grid over the lens.
 
 The paper's section 5 leaves this open ("a mesh smoothing technique to keep the mesh clean"). Triangles flip because
-those between bright and dark become thin *on the lens*. So the mesh is not repaired there but changed whole: the new
-vertices are those of an even grid over the lens, and each takes the screen point that the map gives it. The map is the
-same, every triangle on the lens is as good as on the first day, and the next step is limited by nothing older than
-itself. What is thin or large now lies on the screen, where no step rule cares: the dark parts of the picture have few
-vertices, the bright ones many, as light is where vertices are. No vertex is random, so lines and edges stay straight.
+those between bright and dark become thin *on the lens*. So the mesh is not repaired but replaced: the new vertices are
+those of an even grid over the lens, and each takes the screen point that the map gives it. The map is the same, all
+triangles on the lens are as good as at the start, and earlier steps do not limit the next one. Thin or large triangles
+are now on the screen, where the step rule does not depend on them: the dark parts of the picture have few vertices and
+the bright ones many, because vertices go where the light is. No vertex is random, so lines and edges stay straight.
 
 - D of a face of any shape on the screen is exact (face_light); the Poisson source is its light, as before.
 - Steps start on every second of the lens's own vertices; the last grid *is* the lens's, so the surface is solved on it
   and nothing is resampled on the way to the heightfield.
 - Reading the map bilinearly keeps it one-to-one but for a few triangles beside creases: their screen points are
   averaged with their neighbours' until none is turned over. It also blurs a little; the steps after it undo that. The
-  best state that was on the even grid is the answer.
+  best state on the even grid is the result.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from phrases.phrase import Phrase, join
 _COARSER = (2, 1)
 _LEAST_CELLS = 24  # of the smaller side of a coarse grid
 _SHORT_STEP = 0.25  # remesh after a step below this ...
-_MOST_BETWEEN = 3  # ... and after so many steps in any case
-_STALLED_STEPS = 6  # a grid is done when so many steps did not lower the rms ...
+_MOST_BETWEEN = 3  # ... and after this many steps in any case
+_STALLED_STEPS = 6  # a grid is finished when this many steps did not lower the rms ...
 _GAIN = 0.05  # ... by this share;
 _COARSE_GAIN = 0.2  # a coarse grid is left earlier
 _LEAST_ON_SCREEN = 1e-4  # of the mean triangle
@@ -72,7 +72,7 @@ class _Even:
         return MeshPair(screen=lens.moved(self.screen_mm.reshape(-1, 2)), lens=lens)
 
     def regrid(self, moved_mm: Array) -> _Even:
-        """Return the even grid anew, after its vertices had moved to moved_mm (my, mx, 2) on the lens."""
+        """Return the even grid again after its vertices have moved to moved_mm (my, mx, 2) on the lens."""
         at = screen_positions(moved_mm[..., 0], moved_mm[..., 1], self.x_mm, self.y_mm)
         return self._carry_over(_read(self.screen_mm, *at))
 
@@ -137,7 +137,7 @@ def flow_on_even_grids(
 
 
 class _Run:
-    """The steps over all grids, and what is recorded of them."""
+    """The steps over all grids, and their record."""
 
     def __init__(
         self, wanted: Array, size_mm: tuple[float, float], settings: FlowSettings, on_progress: Progress | None

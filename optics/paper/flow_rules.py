@@ -1,10 +1,11 @@
-"""What all variants of the paper's flow share: settings, steps, snapshots and the mapping that comes of it; and rules:
-what may be aimed at, what D is, when to stop.
+"""The common parts of all variants of the paper's flow: settings, steps, snapshots and the resulting mapping; and rules
+for the aim, for D, and for stopping.
 
 On a remeshed lens D needs the light of the picture on the dual faces of any triangle mesh: exact, by Green's formula
 along the faces' sides. The integral of T over a polygon is the integral of F dy along its outline, F(x, y) = int_0^x T.
 Pixels are constant, so on each piece of a side within one pixel the midpoint of F is exact. A side between two faces is
-walked once and counted for one of them and against the other: the faces' light adds up to the picture's to rounding.
+visited once and added to one of them and subtracted from the other: the faces' light adds up to the picture's to
+rounding.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ KEPT_STEPS = (1, 3, 5, 7, 25)  # of the paper's Fig. 6; and the last
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlowSettings:
-    """When the flow stops, how little light it aims at, and what becomes of a mesh that gets stuck.
+    """When the flow stops, its least target light, and its treatment of a mesh that gets stuck.
 
     remeshing : "none", as in the paper's section 4; "simple", its section 5 (see optics.paper.flow_darts); "clean", its
                 future work (see optics.paper.flow_even)
@@ -40,10 +41,10 @@ class FlowSettings:
 
     max_steps: int = 60
     converged_rms: float = 0.0025  # rms of D over the mean intensity
-    settled_gain: float = 0.02  # converged, too, once full steps lower the rms by less than this share ...
-    settled_steps: int = 3  # ... so many times running: what is left is finer than the mesh can move
-    stuck_dt: float = 5e-3  # a step this small moves nothing worth while: stuck ...
-    least_steps: int = 25  # ... yet the flow goes on so far, for the paper's figure ...
+    settled_gain: float = 0.02  # also converged once full steps lower the rms by less than this share ...
+    settled_steps: int = 3  # ... this many times in a row: the rest is finer than the mesh can resolve
+    stuck_dt: float = 5e-3  # a step this small has no effect: stuck ...
+    least_steps: int = 25  # ... but the flow goes on until this step, for the paper's figure ...
     immovable_dt: float = 1e-9  # ... unless the mesh cannot move at all
     floor: float = 0.01  # least target, as a share of the mean
     solver_tolerance: float = 1e-4
@@ -70,7 +71,7 @@ class FlowStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlowSnapshot:
-    """What Fig. 6 shows of one step: D (ny, nx), mean intensity 1, and the moved vertices (ny, nx, 2)."""
+    """The data of Fig. 6 for one step: D (ny, nx), mean intensity 1, and the moved vertices (ny, nx, 2)."""
 
     step: int
     difference: Array
@@ -89,7 +90,7 @@ class PaperFlow:
     x_mm: Array
     y_mm: Array
     lens_mm: Array
-    lens_step: int  # after which the mesh lay like this
+    lens_step: int  # after which the mesh had this state
     target: Array
     converged: bool
     message: Phrase
@@ -137,8 +138,8 @@ def project_to_frame(velocity: Array, shape: tuple[int, int]) -> Array:
 
 
 def excess_on_faces(pair: MeshPair, across: Neighbours, target: Array, size_mm: tuple[float, float]) -> Array:
-    """Return (n,) light each face of a remeshed lens has beyond what its face on the screen should get [mm^2]: D x
-    area.
+    """Return (n,) the excess light of each face of a remeshed lens over the target of its face on the screen [mm^2]: D
+    x area.
     """
     return pair.lens.dual_areas() - face_light(pair.screen, across, target, size_mm)
 
@@ -188,7 +189,7 @@ def rms_over(difference: Array, faces: Array) -> float:
 
 
 def judge_convergence(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple[bool, Phrase] | None:
-    """Return whether to stop, and the sentence why; None goes on."""
+    """Return whether to stop, with a sentence giving the reason; None: go on."""
     state = Phrase(
         "rms difference {percent:.2f} % of the mean after {count} steps", percent=100.0 * rms, count=len(steps)
     )
@@ -217,7 +218,7 @@ def judge_convergence(steps: list[FlowStep], rms: float, settings: FlowSettings)
 
 
 def floor_notes(lifted: float, floor: float) -> Iterator[Phrase]:
-    """Yield what was done to a picture darker than the floor; nothing where none of it is."""
+    """Yield sentences on a picture with parts darker than the floor; nothing if there are none."""
     if lifted > 0.0:
         yield Phrase(
             "{percent:.1f} % of the picture is darker than {floor_percent:g} % of its mean and was lifted to that: "

@@ -2,7 +2,7 @@
 
 The mesh stands for a one-to-one map: vertex i lies at lens[i] and at screen[i], triangles are counter-clockwise in both
 planes, and each operation is done only where that stays so. A triangle's *life* is the time until the vertices'
-velocities make it flip (the paper's dt_i). Removing a vertex is drawing it onto one of its neighbours.
+velocities make it flip (the paper's dt_i). A vertex is removed by merging it into one of its neighbours.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """First-order Galerkin finite elements on triangles: P1 matrices and Poisson's equation with a natural boundary.
 
-The pattern of the matrices belongs to the triangles, so it is built once and filled anew whenever the points move. The
+The sparsity pattern depends only on the triangles, so it is built once and filled again whenever the points move. The
 Neumann problem fixes the unknown up to a constant: the mean is taken out of load and solution, and conjugate gradients
 run on what is left, preconditioned by one classical (Ruge-Stueben) multigrid V-cycle built for the matrix at hand. On
 stretched meshes a fresh hierarchy needs 5-20 cycles and costs less to build (0.3 s at 512 x 512) than an old one loses.
@@ -72,7 +72,7 @@ class FactoredPoisson:
         values = np.zeros_like(load) if guess is None else guess.copy()
         residual = balanced - self._stiffness @ values
         size, iterations = sqrt(_dot(residual, residual)), 0
-        if target <= tolerance * 1e-14 * float(np.abs(load).sum()):  # a constant load: nothing but rounding is left
+        if target <= tolerance * 1e-14 * float(np.abs(load).sum()):  # a constant load: only rounding is left
             return PoissonSolution(values=np.zeros_like(load), iterations=0, residual=0.0)
         direction, old_product = np.zeros_like(load), 1.0
         while size > target and iterations < _MOST_ITERATIONS:

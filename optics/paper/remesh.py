@@ -2,9 +2,9 @@
 
 "... first detecting triangles which admit small dt, then removing the vertices of the triangles, and inserting random
 vertices using dart throwing." A vertex is removed by drawing it onto the neighbour that lets the triangles around live
-longest. Edges between short-lived triangles are turned where that is enough. A dart falls anywhere in the remeshed
-triangles, evenly over the lens, and stays if it is not too near to the corners of its triangle in either plane. It
-takes screen point and velocity from the flat triangle it falls in, so the map stays one-to-one.
+longest. Edges between short-lived triangles are flipped if that is enough. A dart falls anywhere in the remeshed
+triangles, evenly over the lens, and stays if it is not too near the corners of its triangle in either plane. It takes
+screen point and velocity from the flat triangle in which it falls, so the map stays one-to-one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _LEAST_SPACING = 0.5  # of a dart from the corners: times the side of a square a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Remeshed:
-    """The mesh after it, and what was done. velocity_mm (n, 2) belongs to the new vertices."""
+    """The mesh after remeshing, and a record of it. velocity_mm (n, 2) belongs to the new vertices."""
 
     pair: MeshPair
     velocity_mm: Array
@@ -50,9 +50,7 @@ class Remeshed:
 def without_short_lived(
     pair: MeshPair, velocity_mm: Array, *, wanted: float, pixel_mm: tuple[float, float], rng: np.random.Generator
 ) -> Remeshed:
-    """Remesh until triangles live `wanted`, as far as that can be had; the frame's vertices stay on the
-    frame.
-    """
+    """Remesh until triangles live `wanted`, as far as possible; the frame's vertices stay on the frame."""
     rule = _Rule(
         wanted=wanted,
         least=_LEAST_ON_SCREEN * pixel_mm[0] * pixel_mm[1],

@@ -1,9 +1,9 @@
 """The paper's surface (section 3.2): heights from the mapping, by Poisson's equation on the moved mesh (Eqs. 5-9).
 
-The gradient that sends the light of p to q depends on the height (Eqs. 8-9), so heights and gradients take turns until
-the heights stand still. The weak form is  int grad(h) . grad(v) = int N . grad(v):  its natural boundary is
-dh/dn = N . n. Where N has curl no surface has that gradient, and this one comes nearest in the mean square.
-The mapping is read through the C2 splines of the moved grid's displacement, inverted by Newton.
+The gradient that sends the light of p to q depends on the height (Eqs. 8-9), so heights and gradients are computed
+alternately until the heights converge. The weak form is  int grad(h) . grad(v) = int N . grad(v):  its natural boundary
+is dh/dn = N . n. Where N has curl, no surface has that gradient; this one is nearest to it in the mean square. The
+mapping is read through the C2 splines of the moved grid's displacement, inverted by Newton.
 """
 
 from __future__ import annotations
@@ -228,7 +228,8 @@ def _heightfield(flow: PaperFlow, h_mm: Array, vertices_x: int, vertices_y: int,
 def resample_heights(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
     """Return heights from the moved mesh on the lens's regular grid: h(q) as a spline over the screen, read at q(p).
 
-    Read in the flat triangles instead, the lens would have facets a pixel wide, and the picture would show them.
+    If it were read in the flat triangles instead, the lens would have facets a pixel wide, which would be visible in
+    the picture.
     """
     x_mm = np.linspace(flow.x_mm[0], flow.x_mm[-1], vertices_x)
     y_mm = np.linspace(flow.y_mm[0], flow.y_mm[-1], vertices_y)
@@ -260,7 +261,7 @@ def _refuse_what_the_paper_has_not(bench: Bench) -> None:
 
 
 def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:
-    """Raise TotalReflectionError where light's way out is beyond arccos(1 / n) of the way in, at the shortest drop."""
+    """Raise TotalReflectionError if light's way out is beyond arccos(1 / n) of the way in, at the shortest drop."""
     farthest_mm = float(np.sqrt((shift_mm**2).sum(axis=1)).max())
     shortest_mm = farthest_mm / np.sqrt(refractive_index**2 - 1.0)
     if throw_mm + skim_mm <= shortest_mm:

@@ -1,4 +1,4 @@
-"""A photograph of light on a wall: where the predicted light lies in it, and what it shows of the set-up."""
+"""Evaluates a photograph of light on a wall: registers it with the predicted light, and estimates the set-up."""
 
 from optics.photograph.registering import Registration, register
 

@@ -1,7 +1,7 @@
-"""Gauss-Newton steps that lay a predicted picture over a photograph: place, exposure, tone and blur at once.
+"""Registers a predicted picture with a photograph by Gauss-Newton steps: place, exposure, tone and blur at once.
 
-Large residuals count little (Huber), so that what is strange in the photograph does not pull; where the photograph is
-clipped, so is the model, and neither place nor exposure learns from it.
+Large residuals count little (Huber), so that foreign objects in the photograph have little effect. Where the photograph
+is clipped, so is the model, and these pixels affect neither place nor exposure.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from optics.photograph.homography import PARAMETERS, normalise_homography, step_
 from optics.photograph.views import Photograph, View
 from optics.spline import Array
 
-_SMOOTH = 0.8  # pixels: both pictures are smoothed by so much before they are compared
+_SMOOTH = 0.8  # pixels: both pictures are smoothed by this before they are compared
 _STEPS = 14
 _SETTLED = 5e-3  # pixels
 _TONE_SPREAD = 0.25
@@ -26,7 +26,7 @@ _LEAST_SCALE = 3e-4  # of the camera's white
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fit:
-    """One try. `spread_px2`: variance of the blur, in pixels of the view."""
+    """One state of the fit. `spread_px2`: variance of the blur, in pixels of the view."""
 
     homography: Array
     gain: float = 1.0
@@ -38,7 +38,7 @@ class Fit:
 
 
 def promise_of(photograph: Photograph, view: View, fit: Fit) -> float:
-    """Return the correlation of what lies there with the picture, cut off where the photograph is."""
+    """Return the correlation of the photograph at that place with the picture, clipped where the photograph is."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     share = float(clipped[view.inner].mean())
     picture = np.minimum(view.picture, np.quantile(view.picture[view.inner], min(max(1 - share, 0.05), 0.98)))
@@ -51,10 +51,10 @@ def correlation_of(photograph: Photograph, view: View, fit: Fit) -> float:
 
 
 def likeness_of(photograph: Photograph, view: View, fit: Fit) -> float:
-    """Return the geometric mean of that correlation and of that of the details, which another picture cannot share.
+    """Return the geometric mean of that correlation and of that of the details.
 
-    Blobs of light can be laid over one another by a perspective, a tone and a blur; what lies between _DETAILS of the
-    picture's side cannot.
+    Blobs of light of different pictures can be matched by a perspective, a tone and a blur; details between _DETAILS of
+    the picture's side cannot.
     """
     return float(np.sqrt(np.prod(np.maximum(_alike(photograph, view, fit), 0.0))))
 
@@ -80,7 +80,7 @@ def _correlate(a: Array, b: Array) -> float:
 
 
 def smooth(picture: Array) -> Array:
-    """Smooth values as all that is compared is smoothed."""
+    """Smooth values, as is done with everything that is compared."""
     return gaussian_filter(picture, _SMOOTH)
 
 
@@ -89,13 +89,13 @@ def blur(picture: Array, fit: Fit) -> Array:
 
 
 def model_photograph(picture: Array, fit: Fit) -> tuple[Array, Array]:
-    """Return what the photograph should show, smoothed, and where that is not clipped (a share)."""
+    """Return the expected photograph, smoothed, and the share of each pixel that is not clipped."""
     raw = fit.gain * np.clip(blur(picture, fit), 0.0, None) ** fit.tone + fit.offset
     return smooth(np.minimum(raw, 1.0)), smooth((raw < 1.0).astype(np.float64))
 
 
 def residual_of(photograph: Photograph, view: View, fit: Fit) -> tuple[Array, Array, Array, Array]:
-    """Return photograph less model (NaN where they are not compared), the model, its open share, the clipped share."""
+    """Return photograph minus model (NaN where they are not compared), the model, its open share, the clipped share."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     inside &= view.compared
     model, is_open = model_photograph(view.picture, fit)
@@ -106,7 +106,7 @@ def residual_of(photograph: Photograph, view: View, fit: Fit) -> tuple[Array, Ar
 def follow(photograph: Photograph, view: View, fit: Fit, *, fit_tone: bool = False, fit_blur: bool = False) -> Fit:
     """Run Gauss-Newton steps with Levenberg's damping from one fit, on one view.
 
-    fit_blur : the picture's rim is left out, for a prediction ends there while the light does not
+    fit_blur : the picture's rim is left out, because the prediction ends there while the light does not
     """
     if fit_blur:
         view = view.without_rim()
@@ -141,7 +141,7 @@ def follow(photograph: Photograph, view: View, fit: Fit, *, fit_tone: bool = Fal
 
 
 def _with_tones(photograph: Photograph, view: View, fit: Fit) -> Fit:
-    """Return the gain and offset for a guess of the place alone: least squares over what is not clipped."""
+    """Return gain and offset for a given place: least squares over the pixels that are not clipped."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     chosen = inside & (clipped < 0.02)
     if chosen.sum() < 20:
@@ -157,9 +157,7 @@ def _with_tones(photograph: Photograph, view: View, fit: Fit) -> Fit:
 def columns_of(
     view: View, fit: Fit, model: Array, is_open: Array, along: tuple[Array, Array], fit_tone: bool, fit_blur: bool
 ) -> Array:
-    """Return (k, ...) by how much the residual falls for each parameter; the place first, then gain, offset, tone,
-    blur.
-    """
+    """Return (k, ...) the decrease of the residual by each parameter: place, gain, offset, tone, blur."""
     down, across = np.gradient(model)
     place = -(along[0] * (across / view.step[1]) + along[1] * (down / view.step[0]))
     lit = np.maximum(blur(view.picture, fit), 1e-6)
@@ -204,13 +202,13 @@ def take_step(fit: Fit, step: Array, fit_tone: bool, fit_blur: bool) -> Fit:
 
 
 def _spread_of(parts: tuple[Array, Array, Array, Array]) -> float:
-    """Return the spread of the residuals, without those that are 0 as photograph and model are both white there."""
+    """Return the spread of the residuals, except those that are 0 because photograph and model are both white."""
     off, _, is_open, clipped = parts
     return robust_scale(np.where((is_open > 0.5) | (clipped < 0.5), off, np.nan))
 
 
 def robust_scale(residual: Array) -> float:
-    """Return the standard deviation of most residuals, and no less than the steps of a file's 8 bits hide."""
+    """Return the standard deviation of most residuals, but at least the rounding of a file's 8 bits."""
     values = residual[np.isfinite(residual)]
     return max(1.4826 * float(np.median(np.abs(values))), _LEAST_SCALE) if values.size else 1.0
 

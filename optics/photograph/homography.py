@@ -37,7 +37,7 @@ def step_homography(step: Array) -> Array:
 
 
 def step_fields(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return (8, ...) each: by how much x and y of points move for each parameter of `step_homography`."""
+    """Return (8, ...) each: the derivative of x and y of points by each parameter of `step_homography`."""
     zero, one = np.zeros_like(x), np.ones_like(x)
     along_x = np.stack([one, zero, x, y, zero, zero, x * x, x * y])
     along_y = np.stack([zero, one, zero, zero, x, y, x * y, y * y])
@@ -74,8 +74,8 @@ def jacobian_at(homography: Array, x: float = 0.0, y: float = 0.0) -> Array:
 def rotation_rad(homography: Array, middle: tuple[float, float]) -> float:
     """Return how far a picture is turned in a photograph with that middle, clockwise, if the camera was level.
 
-    A camera that is level sees upright lines upright or meeting above or below its middle, whichever way it looks: the
-    angle is that of the line from the photograph's middle to where they meet.
+    A level camera sees vertical lines as vertical or as meeting above or below its middle, in whichever direction it
+    looks. The angle is that of the line from the photograph's middle to their meeting point.
     """
     h = homography
     down = h[0, 1] - middle[0] * h[2, 1], h[1, 1] - middle[1] * h[2, 1]
@@ -85,7 +85,8 @@ def rotation_rad(homography: Array, middle: tuple[float, float]) -> float:
 def enclose_quadrilateral(hull: Array) -> Array:
     """Return (4, 2) corners of a small quadrilateral around a convex polygon (n, 2), n >= 4, in the polygon's order.
 
-    Edges are left out one after the other, each time that whose neighbours, made longer until they meet, add least.
+    Edges are removed one after the other, each time the one whose removal adds the least area when its neighbours are
+    extended until they meet.
     """
     corners = [np.asarray(corner, dtype=np.float64) for corner in hull]
     while len(corners) > 4:
@@ -104,8 +105,8 @@ def enclose_quadrilateral(hull: Array) -> Array:
 
 
 def _find_meeting(a: Array, b: Array, d: Array, c: Array) -> tuple[float, Array] | None:
-    """Return where a -> b and d -> c go on to meet, and the triangle's area that this adds to the edge b c; None:
-    nowhere.
+    """Return where the extensions of a -> b and d -> c meet, and the area of the triangle that this adds at the edge b
+    c; None if they do not meet.
     """
     along, back, between = b - a, c - d, c - b
     cross = along[0] * back[1] - along[1] * back[0]

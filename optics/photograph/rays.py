@@ -1,4 +1,6 @@
-"""The light of a lens on its wall for any set-up: rays followed once more for each, tubes between them on pixels."""
+"""The light of a lens on its wall for any set-up: traces the rays again for each set-up, and spreads tubes between them
+on pixels.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,22 @@ from optics.tubes.lattice import trace_rows
 from optics.tubes.picture import TubePicture
 from optics.tubes.spread import spread_tubes
 
-# Low-order errors of a surface: orders of Legendre polynomials along x and y. Of the two bows (2, 0) stands for their
-# difference: their sum is a weak lens, which does to the picture what a wall elsewhere does, and which moving the wall
-# undoes.
+# Low-order errors of a surface: orders of Legendre polynomials along x and y. (2, 0) stands for the difference of the
+# two bows: their sum is a weak lens, which has the same effect on the picture as a wall at another distance, so that
+# moving the wall undoes it.
 ORDERS = ((2, 0), *((a, n - a) for n in (2, 3, 4) for a in range(n, -1, -1) if (a, n) not in ((2, 2), (0, 2))))
 SETTINGS = 5 + len(ORDERS)
 _LATTICE = 4  # rays along a side of a pixel
-_FURTHER = 0.1  # of the throw: a second plane, through which each ray's way is known
+_FURTHER = 0.1  # of the throw: distance of a second plane that gives each ray's direction
 _DISC_POINTS = 256
 
 
 class WallRays:
     """One lens, seen on `shape` pixels of its screen and `rim` more on all sides.
 
-    A setting (SETTINGS,) is how much further the wall stands [mm], by which angles it leans away towards +x and +y,
-    by which the light travels aslant towards +x and +y [rad], and the surface's error for each of ORDERS [um], as the
-    factor of a polynomial that is 1 in the corner. All zeros are the bench as it is.
+    A setting (SETTINGS,) is the wall's additional distance [mm], the angles by which it leans away towards +x and +y,
+    the tilt of the light towards +x and +y [rad], and the surface's error for each of ORDERS [um], as the factor of a
+    polynomial that is 1 in the corner. All zeros: the bench as it is.
     """
 
     def __init__(self, lens: Heightfield, bench: Bench, shape: tuple[int, int], rim: int) -> None:
@@ -54,17 +56,17 @@ class WallRays:
         self._modes = np.stack([surface_mode(one, across, along, lens.height_mm / lens.width_mm) for one in ORDERS])
         source_mm = blur_mm(lens, bench, source_rad(lens, bench))
         self._source_px = source_mm * self._tubes.aim.per_mm_x, source_mm * self._tubes.aim.per_mm_y
-        self._foretold = self._hits(np.zeros(SETTINGS))
+        self._predicted = self._trace_hits(np.zeros(SETTINGS))
 
     def light(self, setting: Array) -> Array:
         """Return (ny + 2 rim, nx + 2 rim) irradiance in the work frame, in units of incident light / pixels of the
         screen.
 
-        An affine mapping of the whole picture is taken out, for where the camera stands undoes it.
+        An affine mapping of the whole picture is removed, because the camera's position compensates for it.
         """
-        hit_x, hit_y = self._foretold
+        hit_x, hit_y = self._predicted
         if setting.any():
-            hit_x, hit_y = _without_affine(self._foretold, self._hits(setting))
+            hit_x, hit_y = _without_affine(self._predicted, self._trace_hits(setting))
         acc = np.zeros((self._pixels[0], self._pixels[1] + 1))
         spread_tubes(0, hit_x.shape[0] - 1, hit_x, hit_y, self._tubes.lights[0], acc)
         light = np.asarray(np.cumsum(acc, axis=1)[:, :-1]) * self._share
@@ -73,11 +75,13 @@ class WallRays:
         return convolve_same(light, disc_kernel(*self._source_px, points=_DISC_POINTS))
 
     def width(self, setting: Array) -> float:
-        """Return how wide the lit area is, relative to what the bench as it is makes of it."""
-        was, now = (float(np.nanmean(hits[0][:, -1] - hits[0][:, 0])) for hits in (self._foretold, self._hits(setting)))
+        """Return the width of the lit area relative to that on the bench as it is."""
+        was, now = (
+            float(np.nanmean(hits[0][:, -1] - hits[0][:, 0])) for hits in (self._predicted, self._trace_hits(setting))
+        )
         return now / was
 
-    def _hits(self, setting: Array) -> tuple[Array, Array]:
+    def _trace_hits(self, setting: Array) -> tuple[Array, Array]:
         """Return (rows + 1, columns + 1) each: where the lattice's rays meet the wall [pixels]; NaN: reflected."""
         bench, aim, s = self._bench, self._tubes.aim, self._lens
         tilt_x, tilt_y = bench.light.tilt_rad

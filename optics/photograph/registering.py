@@ -1,13 +1,11 @@
-"""A photograph of light on a wall, registered with the light that was predicted there.
+"""Registers a photograph of light on a wall with the predicted light.
 
-Theory of operation: the photograph is linear light, cut off at the camera's white. It is taken for
-min(gain * (prediction, blurred)^tone + offset, 1), seen in perspective. First guesses come from the lit area of the
-photograph: its moments, which leave a rotation open, and the quadrilateral around it, whose corners may be any four in
-turn. All of them are tried on a picture of some 30 pixels, the best are followed by Gauss-Newton steps on finer and
-finer pictures, with weights that let strange things in the photograph count little, and the one that fits best stays.
-Mirrored guesses are tried, too: where one fits clearly better, the photograph is that of a mirrored picture.
-
-Nothing here knows of lenses.
+Theory of operation: the photograph is linear light, clipped at the camera's white. Its model is min(gain * (prediction,
+blurred)^tone + offset, 1), seen in perspective. First guesses come from the lit area of the photograph: its moments,
+which leave a rotation open, and the quadrilateral around it, whose corners may be any four in turn. All of them are
+tried on a picture of some 30 pixels, the best are followed by Gauss-Newton steps on finer and finer pictures, with
+weights that reduce the influence of foreign objects, and the best fit is kept. Mirrored guesses are tried too: if one
+fits clearly better, the picture is mirrored. Nothing here depends on lenses.
 """
 
 from __future__ import annotations
@@ -33,13 +31,13 @@ from optics.spline import Array
 _COARSEST, _FINEST = 28, 320  # pixels along the longer side
 _KEPT, _KEPT_FINER = 8, 3
 _STRANGE, _ALIKE = 0.5, 0.75  # likeness of a photograph of another picture at most, and of one of this at least
-_MIRRORED = 0.6  # of what the upright fit leaves open: what a mirrored one may leave to be believed
+_MIRRORED = 0.6  # largest misfit of a mirrored fit, relative to the upright one, for it to be accepted
 _TURNS = 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Registration:
-    """Where the prediction lies in the photograph, and what the photograph shows there.
+    """The place of the prediction in the photograph, and the photograph's light there.
 
     homography (3, 3)   : (x, y, 1) in pixels of the predicted *picture* (as the viewer sees it, row 0 on top; from its
                           upper left corner, pixel centres at halves) -> pixels of the photograph, counted likewise
@@ -52,14 +50,14 @@ class Registration:
     residual            : rms of rectified - fitted over usable pixels, over the prediction's standard deviation
     correlation         : of the photograph with what is fitted to it, inside the picture
     likeness            : geometric mean of that and of the correlation of the picture's details
-    confidence          : 0 to 1: that this is a photograph of the prediction; under 0.5 do not believe the rest
+    confidence          : 0 to 1: that this is a photograph of the prediction; below 0.5 the rest is not reliable
     overlap             : share of the prediction inside the photograph
     clipped_share       : of the prediction's pixels that lie inside the photograph: too bright for it
     noise               : standard deviation from pixel to pixel, in units of the camera's white
     pixels_per_pixel    : pixels of the photograph along one of the prediction
     rotation_rad        : of the picture in the photograph, clockwise, if the camera was level
     mirrored            : the photograph shows the prediction with left and right exchanged
-    converged           : the last steps moved nothing any more
+    converged           : the last steps made no change
     """
 
     homography: Array
@@ -96,8 +94,8 @@ def register(
     photo (h, w)       : linear light, 1 = the camera's white, row 0 on top
     predicted (ny, nx) : irradiance in the work frame (row 0 at the lowest y), any units
     viewed_from        : from which side the photograph was taken
-    fit_tone           : the camera's tones are not known for sure: fit an exponent, too
-    dark_surround      : no light is predicted around the prediction, so that its rim can be seen
+    fit_tone           : the camera's tones are uncertain: fit an exponent too
+    dark_surround      : no light is predicted around the prediction, so that its rim is visible
 
     ValueError for a photograph or a prediction without light.
     """
@@ -129,7 +127,7 @@ def _sides(longest: int) -> list[int]:
 
 
 def _choose_fit(photograph: Photograph, views: list[View], starts: list[Array]) -> Fit:
-    """Return the start that leads furthest, followed through all the views but not yet its blur and tone."""
+    """Return the best start, followed through all the views, but without its blur and tone."""
     high, wide = photograph.shape
     to_photo = np.diag([wide, high, 1.0])
     fits = [Fit(homography=normalise_homography(to_photo @ one)) for one in starts if abs(one[2, 2]) > 1e-12]
@@ -229,7 +227,7 @@ def _clip_glare(picture: Array) -> Array:
 
 
 def _find_lit(small: Array) -> tuple[Mask, float]:
-    """Return where light falls in a photograph (all of what lies close together), and how bright it is elsewhere."""
+    """Return the lit area of a photograph (everything that is close together), and the brightness elsewhere."""
     smooth = gaussian_filter(small, 1.0)
     dark, bright = float(np.quantile(smooth, 0.05)), float(np.quantile(smooth, 0.995))
     histogram, edges = np.histogram(smooth, bins=64, range=(dark, max(bright, dark + 1e-9)))

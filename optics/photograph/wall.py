@@ -1,17 +1,17 @@
-"""What a registered photograph shows of the set-up: wall, light and the lens's own low-order error.
+"""Estimates the set-up from a registered photograph: wall, light and the lens's own low-order error.
 
-Theory of operation: a photograph fixes the picture on the wall but for a perspective, eight numbers that belong to the
-camera. What those cannot undo shows in *where within the picture* things lie, and in how bright they are: a wall too
-far by s moves the light of each ray by s times its slope, which is another distortion for each lens; a tilted wall does
-so more on one side; an error of the surface bends rays by its slopes. All of these are followed exactly, ray by ray,
-and fitted together with perspective, exposure (with a camera's shading of second order), tone and blur, by Gauss-Newton
-steps on the photograph itself. Each quantity has an expected spread (`_PRIORS`), as wide as a workshop's, so that what
-a photograph cannot show stays near zero and says so: its deviation stays near that spread. A wall off by 1 % is, to
-first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres, separates the
-two.
+Theory of operation: a photograph determines the picture on the wall up to a perspective, eight numbers that belong to
+the camera. Anything beyond a perspective shows in the positions *within the picture*, and in the brightness: a wall too
+far by s moves the light of each ray by s times its slope, which is a different distortion for each lens; a tilted wall
+does so more on one side; an error of the surface deflects rays by its slopes. All of these are computed exactly, ray by
+ray, and fitted together with perspective, exposure (with a camera's shading of second order), tone and blur, by
+Gauss-Newton steps on the photograph itself. Each quantity has an expected spread (`_PRIORS`), as wide as in a workshop.
+A quantity that the photograph does not determine stays near zero, and its deviation stays near that spread. A wall off
+by 1 % is, to first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres,
+separates the two.
 
-The model is the light of the lens as designed, as soft as the predicted picture is, and what else is smooth in the
-difference: of a mill's grain only the blur can be predicted, because the next block has another.
+The model is the light of the designed lens, as soft as the predicted picture, plus the smooth part of their difference:
+of a mill's grain only the blur can be predicted, because each block has a different grain.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ from optics.threads import thread_count
 
 _SIDES = (88, 88, 176, 176)  # pixels of the view along its longer side, one step of the fit each
 _WAVES, _SHADING = 5, 0.1  # waves of shading along each side at most; relative, of camera, lamp and wall
-_CAUTION = 3.0  # in trials with a mill's grain, variances were so much larger than what residuals alone say
+_CAUTION = 3.0  # in trials with a mill's grain, variances exceeded those from residuals alone by this factor
 _UNFORESEEN, _UNFORESEEN_PX2 = (
     0.02,
     16.0,
-)  # of the light's spread: what no model foresees; and over what area it is alike
+)  # relative to the light's spread: the unmodelled part; and the area over which it is alike
 _TONE = 0.15
 _ODD = np.array([1.0, 1.0, 0.5, 0.5, 0.5])  # pixels squared; the last: to the fourth
 _THROW, _TILT_RAD, _ASLANT_RAD, _SURFACE_UM = 0.05, math.radians(3.0), math.radians(1.0), 8.0
-_WIDTH = 0.003  # relative: how well people measure a picture on a wall
+_WIDTH = 0.003  # relative error of a person's measurement of a picture on a wall
 _HUBER = 2.0
-_GRAINLESS_PX = 2.0  # over so much, a mill's grain is small beside what milling does to any block
-_GRAIN = 0.4  # share of what no model foresees that is there in the dark, too
+_GRAINLESS_PX = 2.0  # averaged over this, a mill's grain is small compared with the systematic effect of milling
+_GRAIN = 0.4  # share of the unmodelled part that is also present in the dark
 _LAGS = 6  # pixels
-_OPEN = 0.02  # clipped share of a pixel up to which its brightness is believed
+_OPEN = 0.02  # clipped share of a pixel up to which its brightness is used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A value, its standard deviation, and the spread that was expected before the photograph was seen."""
+    """A value, its standard deviation, and the spread that was expected before the photograph."""
 
     value: float
     deviation: float
@@ -63,24 +63,24 @@ class Estimate:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the photograph determines it: it narrows what was expected to less than half."""
+        """Whether the photograph determines the value: it narrows the expected spread to less than half."""
         return self.deviation < 0.5 * self.expected
 
     def exceeds(self, deviations: float) -> bool:
-        """Return whether it is determined, and further from zero than so many of its deviations."""
+        """Return whether it is determined and farther from zero than this number of its deviations."""
         return self.is_determined and abs(self.value) > deviations * self.deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WallFit:
-    """What is off; zero is as predicted.
+    """Deviations from the prediction; all zero: as predicted.
 
-    throw_mm          : how much further than the lens was made for the wall stands
+    throw_mm          : distance of the wall beyond that for which the lens was made
     wall_tilt_rad     : by which the wall leans away towards +x and towards +y
-    light_tilt_rad    : by which the light travels aslant towards +x and +y
+    light_tilt_rad    : tilt of the light towards +x and +y
     surface_um        : for each of ORDERS, height of the surface over the lens, as the Legendre polynomial's factor
     blur_mm           : standard deviation on the wall by which the photograph is softer than predicted; < 0: sharper
-    predicted_blur_mm : standard deviation of what the predicted picture is softer by than the design's light
+    predicted_blur_mm : standard deviation of the blur that makes the predicted picture softer than the design's light
     fitted (ny, nx)   : the light that the fitted set-up makes on the wall, work frame, blurred as in the photograph
     correlation       : of the photograph with the fit, and `before` with the predicted set-up
     """
@@ -111,7 +111,7 @@ def fit_wall(
 
     photo (h, w)      : as register takes it
     predicted (ny, nx) : irradiance on the bench's screen, work frame, mean about 1
-    picture_width_mm  : how wide the lit rectangle is on the wall, where somebody has measured it
+    picture_width_mm  : width of the lit rectangle on the wall, if it was measured
     """
     fit = _WallFit(photo, registration, heightfield, bench, predicted, viewed_from, picture_width_mm)
     return fit.run(on_progress or (lambda _: None))
@@ -134,7 +134,9 @@ def surface_error_um(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
-    """A try: place, exposure, tone and blur; the set-up as `WallRays` takes it; factors of shading and of odd blur."""
+    """One state of the fit: place, exposure, tone and blur; the set-up for `WallRays`; factors of shading and of odd
+    blur.
+    """
 
     fit: Fit
     setting: Array
@@ -143,7 +145,7 @@ class _State:
 
 
 class _Scene:
-    """The photograph and all that is known of its light, at one size."""
+    """The photograph and the known facts about its light, at one size."""
 
     def __init__(
         self,
@@ -186,9 +188,10 @@ class _Scene:
         return replace(self.view, picture=light * np.maximum(shading, 0.2))
 
     def residual(self, state: _State, view: View) -> tuple[Array, Array, Array, Array]:
-        """Return photograph less model, model, its open share, and the weight of each pixel, 0 where it does not count.
+        """Return photograph minus model, model, its open share, and the weight of each pixel, 0 where it does not
+        count.
 
-        What no model foresees, a mill's grain above all, grows with the light.
+        The unmodelled part, above all a mill's grain, grows with the light.
         """
         off, model, is_open, clipped = residual_of(self._photograph, view, state.fit)
         odd = np.tensordot(state.odd_blur, _odd_blurs(view, state.fit), 1) * is_open
@@ -317,7 +320,7 @@ class _WallFit:
         return state, deviation
 
     def _prior(self, state: _State, count: int) -> tuple[Array, Array]:
-        """Return the precisions of all parameters, and what they pull towards."""
+        """Return the precisions of all parameters, and their expected values."""
         precision, at = np.full(count, 1e-12), np.zeros(count)
         tone = PARAMETERS + 2
         precision[tone], at[tone] = 1 / _TONE**2, 1.0 - state.fit.tone
@@ -329,7 +332,7 @@ class _WallFit:
         return precision, precision * at
 
     def _width_row(self, scene: _Scene, state: _State, count: int) -> tuple[Array, float]:
-        """Return how much the lit width grows with each parameter, and how far it falls short of the measured one."""
+        """Return the derivative of the lit width by each parameter, and the shortfall from the measured width."""
         assert self._width is not None
         now, row = scene.rays.width(state.setting), np.zeros(count)
         for number in range(SETTINGS):
@@ -393,10 +396,10 @@ def _shades(view: View) -> Array:
 
 
 def _odd_blurs(view: View, fit: Fit) -> Array:
-    """Return (5, ...): what a blur adds that is more across than along, more aslant, more on the right, at the bottom;
-    tailed.
+    """Return (5, ...) the effects of a blur that is stronger across than along, stronger along a diagonal, stronger on
+    the right, stronger at the bottom, and tailed.
 
-    A camera that looks from aside and is out of focus does the first four; no blur is quite a Gaussian.
+    An oblique camera that is out of focus causes the first four; no blur is exactly Gaussian.
     """
     light = fit.gain * np.maximum(blur(view.picture, fit), 1e-6) ** fit.tone
     across, down, aslant = (gaussian_filter(light, 0.8, order=order) for order in ((0, 2), (2, 0), (1, 1)))
@@ -420,7 +423,7 @@ def _fit_softness(sharp: Array, predicted: Array, known: Mask) -> tuple[float, f
 
 
 def _area_of_correlation(off: Array, counts: Array) -> float:
-    """Return how many pixels share one error: the area under the residuals' autocorrelation."""
+    """Return the number of pixels that share one error: the area under the residuals' autocorrelation."""
     spectrum = np.abs(np.fft.rfft2(off, [2 * n for n in off.shape])) ** 2
     pairs = np.abs(np.fft.rfft2(counts, [2 * n for n in off.shape])) ** 2
     both, number = (np.fft.irfft2(one, [2 * n for n in off.shape]) for one in (spectrum, pairs))

@@ -1,7 +1,7 @@
 """Anderson mixing: of the last steps of a fixed-point iteration, the combination with the least residual.
 
-Residuals are remembered in single precision, steps in the precision asked for: half as much to read. The products of
-the least squares are summed in double precision over pieces of fixed size, so that no result depends on the threads.
+Residuals are stored in single precision, which halves the reading, and steps in the requested precision. The products
+of the least squares are summed in double precision over pieces of fixed size, so that no result depends on the threads.
 """
 
 from __future__ import annotations

@@ -1,8 +1,11 @@
-"""The optical path's kernels for any beam: where on the surface, and on the face, the light of a screen point was.
+"""The optical path's kernels for any beam: find the surface point and the face point from which a screen point is lit.
 
-phase(X) + R = c(q) with X = (q, H) - R (s, s_z), s = grad c. Of one direction d that is closed:
-R = (n d . ((q, H) - centre) - c) / (n d . s - 1); of a point Newton's method finds it, d/dR = 1 - n d . s. Areas are
-measured on the face, because light keeps its amount from there to the surface.
+phase(X) + R = c(q) with X = (q, H) - R (s, s_z), s = grad c. For one direction d this has a closed form:
+
+    R = (n d . ((q, H) - centre) - c) / (n d . s - 1)
+
+For a point source it is solved by Newton's method, d/dR = 1 - n d . s. Areas are measured on the face, because no light
+is lost between there and the surface.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from optics.light import Beam, meet, strength_on_face
 from optics.spline import Array
 
 _NEWTON_STEPS = 30
-_CLOSE_ENOUGH_MM = 1e-4  # of a Newton step: it converges quadratically, so that less than 1e-10 mm is left
+_CLOSE_ENOUGH_MM = 1e-4  # last Newton step: it converges quadratically, so the error is less than 1e-10 mm
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -132,7 +135,7 @@ def fill_corner_points(
     row_lo: int, row_hi: int, c: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, px: Array, py: Array,
 ) -> None:  # fmt: skip
-    """Compute lens points px, py (ny + 1, nx + 1) that light the corners of pixels, from c with ghosts."""
+    """Compute the lens points px, py (ny + 1, nx + 1) from which the corners of pixels are lit, from c with ghosts."""
     for r in range(row_lo, row_hi):
         ray = math.nan
         for k in range(px.shape[1]):
@@ -149,8 +152,8 @@ def fill_heights(
 ) -> None:
     """Solve phase(p, t) + |(q, H) - (p, t)| = path for t (my, mx) at p = (x[k], y[r]); q and path are (my, mx).
 
-    Of one direction, with m = n d_z, w = path - n (d_x, d_y) . (p - centre), a = m^2 - 1, b = m w - H and
-    e = w^2 - |q - p|^2 - H^2: a t^2 - 2 b t + e = 0, so that t = e / (b +- sqrt(b^2 - a e)) with the sign of b.
+    For one direction, with m = n d_z, w = path - n (d_x, d_y) . (p - centre), a = m^2 - 1, b = m w - H and e = w^2 - |q
+    - p|^2 - H^2: a t^2 - 2 b t + e = 0, so that t = e / (b +- sqrt(b^2 - a e)) with the sign of b.
     """
     for r in range(row_lo, row_hi):
         for k in range(x.size):

@@ -1,7 +1,7 @@
 """The optical path's kernels for the usual light: even, collimated and upright, on a rectangular lens.
 
-Everything in closed form, and the frame put onto the frame exactly; optical_path.py has the theory, beam_path.py the
-kernels for any other light.
+Everything is in closed form, and the frame is mapped onto the frame exactly; optical_path.py has the theory,
+beam_path.py the kernels for any other light.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from optics.spline import Array
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[float, float]:
-    """Return (R, s_z): length of the ray in air and the cosine it leaves with. NaN where light would be totally
+    """Return (R, s_z): length of the ray in air, and the cosine of its exit angle. NaN where light would be totally
     reflected.
     """
     sz2 = 1.0 - sx * sx - sy * sy
@@ -53,7 +53,7 @@ def fill_preimage_areas(
     throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, across: Array, along: Array, mixed: Array, top: Array,
 ) -> None:  # fmt: skip
-    """Compute what pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens; the mean pixel's share is 1.
+    """Compute the areas of pre-image quads of pixel rows row_lo..row_hi - 1 on the lens; the mean pixel's share is 1.
 
     With p at the midpoints of the pixel's four edges, (pE - pW) x (pN - pS) is the exact area of the quad:
     across[r, k] = x extent of pE - pW, along = y extent of pN - pS, mixed = the product of the other two; area =

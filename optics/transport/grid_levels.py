@@ -1,4 +1,5 @@
-"""Grids of the transport solver, from coarse to fine; of each, how far pixels' pre-images are from their shares.
+"""Grids of the transport solver, from coarse to fine, and the deviation of pixels' pre-images from their shares on
+each.
 
     residual  r = light * det+ - g with a, b the diagonal and x the mixed products of Dp, ab = max(a,0) max(b,0) and
               det+ = ab - max(x, -ab) + min(a,0) + min(b,0): equal to det on the elliptic branch and monotone off it, so
@@ -103,7 +104,7 @@ def _level_out(
 
 
 class Misses(NamedTuple):
-    """How far an iterate is from its aim; NaN beyond total reflection.
+    """The deviation of an iterate from its aim; NaN beyond total reflection.
 
     residual (ny, nx) : r less its mean; the buffer is used again by the next evaluation
     rms               : of the residual
@@ -118,7 +119,7 @@ class Misses(NamedTuple):
 
 
 class TransportLevel:
-    """Residual and step of one iterate after the other, for one target grid (ny, nx) of mean 1."""
+    """Computes residual and step of each iterate, for one target grid (ny, nx) of mean 1."""
 
     def __init__(self, target: Array, bench: Bench) -> None:
         ny, nx = target.shape
@@ -142,7 +143,7 @@ class TransportLevel:
         self._sums = np.empty((ny, 3))
 
     def evaluate(self, c: Array) -> Misses:
-        """Return how far c is from the aim; `step` then says which way that is."""
+        """Return the deviation of c from the aim; `step` then returns the correction."""
         p, rows = self.preimages, c.shape[0]
         top_mm = p.evaluate(c)
         run_on_rows(_fill_residual, rows, p.across, p.along, p.mixed, p.light, self.target, self._residual, self._sums)
@@ -151,7 +152,7 @@ class TransportLevel:
         return Misses(self._residual, math.sqrt(max(square - mean * mean, 0.0)), float(turned), top_mm)
 
     def step(self) -> Array:
-        """Return the change of c that the last residual asks for."""
+        """Return the change of c for the last residual."""
         spectrum = fft.dctn(self._even, type=2, workers=thread_count())
         spectrum *= self._inverse
         return np.asarray(fft.idctn(spectrum, type=2, workers=thread_count(), overwrite_x=True))

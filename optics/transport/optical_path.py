@@ -1,4 +1,4 @@
-"""The optical path to the screen as the unknown: near-field Snell refraction in closed form, with nothing to integrate.
+"""The optical path to the screen as the unknown: near-field Snell refraction in closed form, without integration.
 
 c(q) is the optical length from the light, through the refracting surface, to the point q of the screen at z = H. All
 light through one surface point p = (x, y) at height t obeys phase(p, t) + |q - (p, t)| = c(q), and c is stationary in
@@ -7,9 +7,9 @@ point, with s_z = sqrt(1 - |s|^2) and R from phase(X) + R = c. For upright light
 
     R = (n H - c) / (n s_z - 1),   p(q) = q - R s,   t = H - R s_z
 
-Where c is constant under upright light the surface is flat: c = H + (n - 1) t.
-c is the base, which spreads the aperture over a screen of another size, and a rest with next to no slope across the
-frame, so that mirror images continue it and cosines fit it. Mirrors are the same with n = 1 and light that comes down.
+If c is constant under upright light, the surface is flat: c = H + (n - 1) t. c is the sum of the base, which spreads
+the aperture over a screen of another size, and a remainder that has almost no slope across the frame, so that it can be
+mirrored there and expanded in cosines. Mirrors are the same with n = 1 and light that comes down.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from optics.transport.rims import Rims, corner_rays, solve_rims
 
 
 class Preimages:
-    """The pre-images of a grid of pixels, measured for one iterate after the other of the optical path.
+    """Measures the pre-images of a grid of pixels for each iterate of the optical path.
 
     across, along, mixed (ny, nx) : area of a pixel's pre-image on the face = across * along - mixed, where the mean
                     pixel's is about 1; across and along are positive where the map goes the branch's way
     light         : strength of the light on each pre-image, scaled so that light * area has mean 1; (1, 1) if even
-    sign          : 1 where a rise of Laplace(c) takes area away, -1 on the inverted branch
+    sign          : 1 if an increase of Laplace(c) reduces the area, -1 on the inverted branch
     reach_mm      : (x, y) how far the pre-image goes for a change of slope, about the screen's centre
-    path_per_height : what c gains where the whole surface rises by 1
+    path_per_height : change of c when the whole surface rises by 1
     """
 
     def __init__(self, bench: Bench, shape: tuple[int, ...]) -> None:
@@ -58,7 +58,7 @@ class Preimages:
             self._units = _pixels_per_mm(bench, self._beam, nx, ny)
 
     def evaluate(self, c: Array) -> float:
-        """Measure the pre-images that c gives; returns the greatest height met (NaN: no light could go that way)."""
+        """Measure the pre-images for c; return the greatest height found (NaN: no light could go that way)."""
         if self.even:
             rim_x, rim_y = rim_slopes(c, self.bench)
             run_on_rows(
@@ -151,7 +151,7 @@ def _about_the_centre(bench: Bench, beam: Beam) -> tuple[tuple[float, float], fl
 
 
 def _pixels_per_mm(bench: Bench, beam: Beam, nx: int, ny: int) -> tuple[float, float]:
-    """Return units in which the mean pixel's share of the face is about 1; signed: the branch's way counts as
+    """Return units in which the mean pixel's share of the face is about 1, signed so that the branch's direction is
     positive.
     """
     width, height = bench.width_mm, bench.height_mm
@@ -161,7 +161,9 @@ def _pixels_per_mm(bench: Bench, beam: Beam, nx: int, ny: int) -> tuple[float, f
 
 
 def flat_path_mm(bench: Bench, shape: tuple[int, ...], *, skim_mm: float) -> Array:
-    """Return the optical path (ny, nx) to start from: a surface that hardly bends more than it must, and the base."""
+    """Return the optical path (ny, nx) to start from: a surface with hardly more curvature than necessary, and the
+    base.
+    """
     qx, qy = bench.pixel_centres_mm(shape[1], shape[0])
     return _central_ray(bench, -skim_mm)[0] + bench.base_path_mm(qx[None, :], qy[:, None])
 
@@ -201,7 +203,7 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
 
     c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
     t is stationary in q, so the error of q enters squared.
-    raises NoSurfaceError where there is a lens point that has no height
+    raises NoSurfaceError if there is a lens point that has no height
     """
     ny, nx = c.shape
     s, beam = bench.screen, bench.beam()

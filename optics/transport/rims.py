@@ -1,4 +1,4 @@
-"""The frame's condition: light of any kind at the rim of the lens goes to the frame of the picture.
+"""The boundary condition: light from the rim of the lens goes to the frame of the picture, for any kind of light.
 
 The rim is four curves, one for each side of the frame: left and right x(y), bottom and top y(x). Along a side the
 surface point that the path's slope leads back to must lie on the side's curve; the slope across the frame is the root.
@@ -25,7 +25,7 @@ _MOST_LEAN = 0.35  # of the aperture: how far from the base the rim is looked fo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rims:
-    """What is known on the frame's pixel edges.
+    """Slopes and surface points at the pixel edges on the frame.
 
     slope_x (2, ny), slope_y (2, nx)        : of c, across the left/right and the bottom/top side
     points_x (2, ny, 7), points_y (2, nx, 7) : (face_x, face_y, t, p_x, p_y, dt/dx, dt/dy) where its light comes from
@@ -46,7 +46,7 @@ class Rims:
         return ghosts
 
     def greatest_height_around(self, bench: Bench, margin_mm: float) -> float:
-        """Return the height that the surface reaches that far beyond the rim, away from the aperture's middle."""
+        """Return the greatest height of the surface within that distance beyond the rim."""
         points = np.concatenate([self.points_x.reshape(-1, 7), self.points_y.reshape(-1, 7)])
         away = points[:, 3:5] - (bench.width_mm / 2, bench.height_mm / 2)
         rise = (points[:, 5:7] * away).sum(axis=1) / np.linalg.norm(away, axis=1)
@@ -106,7 +106,9 @@ def _solve_side(
 
 
 def solve_rims(c: Array, bench: Bench, beam: Beam, curves: RimCurves) -> Rims:
-    """Return the rims of the path c (ny, nx): once with the base's slopes for c on the frame, once with those found."""
+    """Return the rims of the path c (ny, nx). They are solved twice: first with the base's slopes for c on the frame,
+    then with those found.
+    """
     ny, nx = c.shape
     s = bench.screen
     dx, dy = s.width_mm / nx, s.height_mm / ny
@@ -140,8 +142,8 @@ def corner_rays(c: Array, bench: Bench, beam: Beam) -> tuple[Array, Array, Array
     """Return (s_x, s_y, t), each (2, 2), of the rays from the aperture's corners to the frame's: [top or not, right or
     not].
 
-    Both ends are known, so that the path at the corner gives the height, and that the direction. The path there is
-    continued from the next pixel's middle by the slopes themselves.
+    Both ends are known, so the path at the corner gives the height, and the height gives the direction. The path there
+    is extrapolated from the next pixel's middle by the slopes themselves.
     """
     ny, nx = c.shape
     s = bench.screen
@@ -163,7 +165,7 @@ def corner_rays(c: Array, bench: Bench, beam: Beam) -> tuple[Array, Array, Array
 def _tangential(edge: Array, ends_slopes: Array, step: float, bench: Bench) -> Array:
     """Return the slope along a side at its pixels, from c there and those at its two ends (2,).
 
-    An outline has no corner to end at: there the pixels must do.
+    An outline has no corners, so there the pixels are used instead.
     """
     if bench.outline_mm is not None and edge.size > 2:
         return np.asarray(np.gradient(edge, step, edge_order=2))

@@ -3,11 +3,11 @@
 Solves det Dp(q) = g(q) for the optical path c(q) (optical_path.py): each pixel gets its share g = target / mean.
     step      c += scale * (what grid_levels.py makes of the residual)
     piston    c += (n - 1) (-skim - top): the highest point stays skim_mm under Z0
-    Anderson  depth 16, least squares on r and the piston together (by r alone, the piston never comes to rest where
-              screen and aperture differ); beyond twice the best residual: back to the best with half the step
-    levels    32, 64 .. N pixels, cubic prolongation of c
-No Jacobian, no line search, no floor under the target (a softer one only where the map folds): black pixels converge
-like others. Where no iterate sends all light to the screen, a far screen shows whether total reflection is why.
+    Anderson  depth 16, least squares on r and the piston together (with r alone, the piston never settles if screen and
+    aperture differ); beyond twice the best residual: back to the best with half the step levels    32, 64 .. N pixels,
+    cubic prolongation of c
+No Jacobian, no line search, no floor under the target (a softer target only if the map folds): black pixels converge
+like others. If no iterate sends all light to the screen, a far screen shows whether total reflection is the reason.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.transport_map import TransportMap, screen_positions
 
 TOLERANCE = 1e-3  # rms of det - g over the rms of g, at which a level is done
-_ANDERSON_DEPTH = 16  # black logos need it: 8 and 24 are no quicker
+_ANDERSON_DEPTH = 16  # necessary for black logos; 8 and 24 are not quicker
 _PISTON_WEIGHT = 3.0  # of the highest point's distance from the skim, in throws, beside the rms of det - g
-_TURNED = 7.0  # tolerances of light may fall on turned pixels: black ones turn by rounding, others rarely
-_FOLDED = 0.02  # of the light on turned pixels: a lens that must not be made
-_SOFTER = ((0.0, 0.0), (0.01, 1.0), (0.03, 3.0), (0.1, 10.0), (1.0, 0.0))  # (floor, blur): what is tried in turn
+_TURNED = 7.0  # in tolerances: light that may fall on turned pixels; black ones turn by rounding, others rarely
+_FOLDED = 0.02  # share of light on turned pixels above which a lens must not be made
+_SOFTER = ((0.0, 0.0), (0.01, 1.0), (0.03, 3.0), (0.1, 10.0), (1.0, 0.0))  # (floor, blur), tried in turn
 _MOST_ITERATIONS, _MOST_COARSE = 300, 100  # of the finest level, of each of the others
 _STALE = 60  # iterations without 2 % of progress: stopped
 _BLOW_UP = 2.0  # a residual this many times the best: restart
-_SAFE = 0.6  # of the tangent of the greatest turn: relief and pixels' own slopes need the rest
-_FARTHEST = 1e6  # throws that are tried, in screens
+_SAFE = 0.6  # of the tangent of the largest deflection: relief and the pixels' own slopes need the rest
+_FARTHEST = 1e6  # largest throw tried, in screens
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,13 +57,13 @@ class LevelRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpticalPath:
-    """The solution on the screen's pixels; what a warm start needs, and what lens heights are made of."""
+    """The solution on the screen's pixels, from which a warm start begins and lens heights are computed."""
 
     bench: Bench
     path_mm: Array  # (ny, nx)
     levels: tuple[LevelRecord, ...]
     converged: bool
-    floor: float = 0.0  # share of even light under the aim, and its blur, without which the lens would have folded
+    floor: float = 0.0  # share of even light added to the aim, and its blur, without which the lens would have folded
     blur_pixels: float = 0.0
 
     def transport_map(self) -> TransportMap:
@@ -101,7 +101,7 @@ def solve_transport(
     tolerance   : rms of det - g over that of g, with folds and the skim's share, at which a level is done
     returns converged = False, with its history, where the finest level stopped early; of a picture that folds, the
     first of its softer versions that does not (of a warm start that does, the start)
-    raises TotalReflectionError where the throw is too short for the way the light must go, NoSurfaceError where no
+    raises TotalReflectionError if the throw is too short for the way the light must go, NoSurfaceError if no
     iterate sent all light to the screen for another reason
     """
     g = target / target.mean()
@@ -187,9 +187,9 @@ def _piston(misses: Misses, bench: Bench, skim_mm: float) -> float:
 
 
 def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
-    """Raise TotalReflectionError if the way the light must go sideways is what stopped the solution.
+    """Raise TotalReflectionError if the sideways distance of the light stopped the solution.
 
-    How far it must go hardly depends on the throw, so a coarse solution for a far screen shows it.
+    That distance hardly depends on the throw, so a coarse solution for a far screen shows it.
     """
     coarse = average_boxes(g, level_shapes(g.shape)[0])
     moved = solve_transport(coarse, move_far_away(bench), skim_mm=0.0, tolerance=1e-2).transport_map()
@@ -197,7 +197,7 @@ def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
 
 
 def move_far_away(bench: Bench) -> Bench:
-    """Return the same frames under even light and so far apart that nothing is reflected: its map hardly differs."""
+    """Return the same frames under even light, so far apart that nothing is reflected; the map is almost the same."""
     s = bench.screen
     throw_mm = 20 * max(bench.width_mm, bench.height_mm, s.width_mm, s.height_mm, *map(abs, bench.shift_mm))
     return replace(bench, throw_mm=max(throw_mm, 20 * bench.throw_mm), light=Light(), mirror=False, outline_mm=None)

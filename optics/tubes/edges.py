@@ -1,7 +1,7 @@
 """Areas on a pixel grid by Green's formula: a polygon's coverage of the pixels is a sum over its directed edges.
 
-`acc` (ny, nx + 1) holds differences along the rows; a cumulative sum along x makes pixels of it. All that an edge adds
-lies in its own pixel and the next, so that a mesh costs one visit to each of its edges, however far its light spreads.
+`acc` (ny, nx + 1) holds differences along the rows; a cumulative sum along x turns them into pixels. An edge only adds
+to its own pixel and the next, so a mesh costs one visit to each of its edges, however far its light spreads.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _add_in_row(row: Array, xa: float, xb: float, weight: float, nx: int) -> Non
 
 @njit(cache=True, nogil=True)
 def add_point(acc: Array, x: float, y: float, amount: float) -> None:
-    """Put an amount into the pixel that holds (x, y); none where no pixel does."""
+    """Add an amount to the pixel that holds (x, y); do nothing if there is none."""
     j, i = int(math.floor(y)), int(math.floor(x))
     if 0 <= j < acc.shape[0] and 0 <= i < acc.shape[1] - 1:
         acc[j, i] += amount
@@ -83,9 +83,7 @@ def add_point(acc: Array, x: float, y: float, amount: float) -> None:
 
 
 def polygon_coverage(corners: Array, shape: tuple[int, int]) -> Array:
-    """Return (ny, nx) covered share of each pixel of the grid, of a simple polygon (k, 2) in pixels, turning either
-    way.
-    """
+    """Return (ny, nx) the share of each pixel that a simple polygon (k, 2) in pixels covers; it may turn either way."""
     acc = np.zeros((shape[0], shape[1] + 1))
     for (xa, ya), (xb, yb) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         add_edge(acc, float(xa), float(ya), float(xb), float(yb), 1.0)

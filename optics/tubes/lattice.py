@@ -1,4 +1,4 @@
-"""Flux tubes: the light through a lens as triangles, followed one row of lattice points after the other.
+"""Flux tubes: traces the light through a lens as triangles, one row of lattice points after the other.
 
 The lens is cut by a lattice of `sub` x `sub` squares in each of its cells, each square into two triangles. A row of the
 lattice is: the surface there, where its rays arrive on the screen (in pixels), and how much light each triangle holds.
@@ -19,7 +19,7 @@ from optics.tubes.spread import add_edges, close_off, fill_densities, fill_pixel
 
 
 class Aim(NamedTuple):
-    """The screen as kernels take it: mm above Z0, lower left corner, pixels per mm."""
+    """The screen in the form of the kernels: mm above Z0, lower left corner, pixels per mm."""
 
     throw: float
     left: float
@@ -102,7 +102,9 @@ def _fill_light_row(below: Array, above: Array, cover: Array, sub: int, light: A
 
 @njit(cache=True, nogil=True)
 def is_even(beam: Beam) -> bool:
-    """Return whether it is even, vertical light through a lens: each square of the lattice has as much of it."""
+    """Return whether the light through the lens is even and vertical, so that each square of the lattice has the same
+    share.
+    """
     return not (beam.is_point or beam.is_mirror or beam.x != 0.0 or beam.y != 0.0 or beam.strength.size > 1)
 
 
@@ -153,7 +155,7 @@ def follow_tubes(
     coefs: Array, x0: float, y0: float, dx: float, dy: float, row_lo: int, row_hi: int, sub: int,
     beam: Beam, aim: Aim, cover: Array, acc: Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Add the tubes of cell rows row_lo .. row_hi - 1 to acc; returns their light and what of it was reflected.
+    """Add the tubes of cell rows row_lo .. row_hi - 1 to acc; return their light and the part of it that was reflected.
 
     cover : (rows, cells) share of each cell that is lens; (1, 1) of 1 where all of it is
     """

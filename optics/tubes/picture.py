@@ -1,13 +1,13 @@
-"""The picture that a grid of heights makes, and which way each height should move: what polish descends on.
+"""The picture of a grid of heights, and its gradient by each height: polish descends along it.
 
-Theory of the second: the transpose of the derivative of a lens's picture (spread.py) by its heights. Of a picture error
-r(pixel) = dE/dI, a tube with light f, area A on the screen and W = its integral of r contributes f W / A to dE. With
-rho = f / A and rbar = W / A, moving its border by v gains  rho * integral over the border of (r - rbar) v . n ds, so a
-tube that lies within one pixel pulls on nothing. W comes from Green's formula as well: the integral of R dy along the
-border, R being r summed from the left.
+Theory of the gradient: the transpose of the derivative of a lens's picture (spread.py) by its heights. Of a picture
+error r(pixel) = dE/dI, a tube with light f, area A on the screen and W = its integral of r contributes f W / A to dE.
+With rho = f / A and rbar = W / A, moving its border by v gains  rho * integral over the border of (r - rbar) v . n ds,
+so a tube within one pixel has no effect. W also comes from Green's formula: the integral of R dy along the border,
+where R is r summed from the left.
 
-The light that a tube carries is held as the lens first had it: even collimated light makes it the same for all anyhow,
-and where it does depend on the heights, what polish changes moves it less than a percent of what refraction does.
+The light of a tube is kept as it was for the first lens: even collimated light makes it the same for all tubes anyway,
+and if it does depend on the heights, the changes by polish move it by less than a percent of what refraction does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from optics.tubes.lattice import fill_light, is_even, trace_rows
 from optics.tubes.rays import fit_transposed, push_row
 from optics.tubes.spread import POINT_AREA, spread_tubes, triangle_area
 
-_STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
+_STRIPS = 4  # fixed, so that sums do not depend on the machine's number of cores
 
 
 class TubePicture:
@@ -39,7 +39,7 @@ class TubePicture:
 
     pixels         : (ny, nx) of the screen
     tubes_per_cell : tubes along each side of a heightfield cell
-    beams          : of an extended light, whose mean the picture is
+    beams          : of an extended light; the picture is their mean
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class TubePicture:
         self.beams = bench.bundle(beams)
         self.spline = lens.spline()
         self.lights = self._lights()
-        self.hits: tuple[Array, Array] | None = None  # of the one beam, where there is one
+        self.hits: tuple[Array, Array] | None = None  # of the beam, if there is only one
 
     def picture(self, z_mm: Array) -> Array:
         """Return (ny, nx) irradiance, in units of incident light / number of pixels, of heights z_mm at the
@@ -96,7 +96,7 @@ class TubePicture:
         return fit_transposed(by_coefs)
 
     def seen_from_vertices(self, irradiance: Array) -> Array:
-        """Return (vertices) irradiance (ny, nx) of the pixel that each one lights, or of the nearest, at the last
+        """Return (vertices) the irradiance of the pixel that each vertex lights, or of the nearest pixel, at the last
         heights.
         """
         hit_x, hit_y = self._trace(self.beams[0])

@@ -1,8 +1,8 @@
-"""Gains by rays turned into gains by heights: the transpose of what lattice.py follows.
+"""Converts gains by rays into gains by heights: the transpose of lattice.py.
 
-What a quantity gains by moving the lit points of the screen, to what it gains by moving the spline's coefficients,
-through Snell's law (or the mirror's), the spline's basis and, in `fit_transposed`, the fit of coefficients to heights.
-All exact.
+The gain by moving the lit points of the screen becomes the gain by moving the spline's coefficients, through Snell's
+law (or the mirror's), the spline's basis and, in `fit_transposed`, the fit of coefficients to heights. All of it is
+exact.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _surface(value: Array, slope: Array, i: int, f: float, dx: float) -> tuple[f
 def _ray_transposed(
     beam: Beam, x: float, y: float, z: float, zx: float, zy: float, throw: float, pull_x: float, pull_y: float
 ) -> tuple[float, float, float]:
-    """Return gains by z, zx, zy, where moving the lit point gains pull_x, pull_y [1/mm]. Notation of `light.leave`."""
+    """Return gains by z, zx, zy if moving the lit point gains pull_x, pull_y [1/mm]. Notation of `light.leave`."""
     ax, ay, az, _, _, _ = meet(beam, x, y, z)
     n = beam.refractive_index
     nz = 1.0 / math.sqrt(1.0 + zx * zx + zy * zy)
@@ -87,7 +87,7 @@ def push_row(
     coefs: Array, k: int, x0: float, y0: float, dx: float, dy: float, sub: int, beam: Beam, throw: float,
     inv_px: float, inv_py: float, pull_x: Array, pull_y: Array, by_coefs: Array, work: Array,
 ) -> None:  # fmt: skip
-    """Add to by_coefs what coefficients gain, where moving the lit points of lattice row k gains pull_x, pull_y.
+    """Add to by_coefs the gain by the coefficients if moving the lit points of lattice row k gains pull_x, pull_y.
 
     pull (columns,) [1/pixel]; work (4, coefficients along x) is scratch.
     """

@@ -1,5 +1,5 @@
-"""Tubes spread over the pixels: of lattice points that arrive on the screen, the densities of the triangles between
-them, and every edge of the lattice visited once, with the difference of the densities on its two sides.
+"""Spreads tubes over the pixels: computes the densities of the triangles between lattice points on the screen, and
+visits every edge of the lattice once, with the difference of the densities on its two sides.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ def triangle_area(xa: float, ya: float, xb: float, yb: float, xc: float, yc: flo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_densities(below: Array, above: Array, light: Array, density: Array, acc: Array) -> float:
-    """Compute density (2, columns) of the two triangles of each square [light per pixel area]; return light reflected.
+    """Compute density (2, columns) of the two triangles of each square [light per pixel area]; return the reflected
+    light.
 
     Negative where a triangle arrives turned over, so that its coverage counts up. A triangle without an area on the
     screen, reflected or focused on a point, has density 0; the point's light is added to acc at once.

@@ -1,4 +1,4 @@
-"""The command `machines`: list the known mills and what each can do; check their files and ports."""
+"""The command `machines`: list the known mills and their abilities; check their files and ports."""
 
 from __future__ import annotations
 

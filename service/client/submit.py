@@ -70,7 +70,7 @@ def spec_text(
 ) -> str:
     """Return JSON of file, preset, overrides and the picture of the light, as `make` takes them.
 
-    It is not checked against this computer's profiles: perhaps only the server knows the mill.
+    It is not checked against this computer's profiles, because the mill may be known only to the server.
     """
     said: dict[str, Any] = {"file": file, "preset": preset, "overrides": overrides}
     data = spec_data(**said, base=default_layer(**said), light_picture=light_picture)

@@ -18,7 +18,7 @@ from urllib.parse import unquote
 
 from service.http.admission import is_stop
 
-_QUEUED = 4096  # connections that the system queues for us; a dropped one tries again after a second
+_QUEUED = 4096  # connections that the system queues for us; the client of a dropped one tries again after a second
 _AT_ONCE = 128  # accepted in one turn
 _BEGUN_AT_ONCE = 4
 _MOST_SPEAKING = 1000

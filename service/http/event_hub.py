@@ -1,12 +1,12 @@
-"""Server-sent events: their format, and their way to any number of readers, none of whom can hold up the publisher or
-another reader.
+"""Server-sent events: their format, and their delivery to any number of readers, none of which can hold up the
+publisher or another reader.
 
 Theory of operation: an answer is held open for events, and closed when the other side is gone or stops reading. Every
-reader has a queue of its own, with room for so many. One whose queue is full is ended: it is sent what its queue holds,
-in order and without a gap, and then the end, so that its client comes back with Last-Event-ID and goes on where it was.
-Of statuses only the latest counts, so a late reader is spared some. A hub with a ring gives its messages ids
-`<life>-<number>`, `life` being new with each hub, and repeats to one that comes back what it missed as far as the ring
-reaches, and a `gap` event where it does not.
+reader has its own bounded queue. A reader whose queue is full is ended: it is sent the contents of its queue, in order
+and without a gap, and then the end, so that its client comes back with Last-Event-ID and continues where it was. Only
+the latest status counts, so a slow reader skips some. A hub with a ring gives its messages ids `<life>-<number>`, with
+a new `life` for each hub. It repeats the missed messages to a reader that comes back, as far as the ring reaches, and
+sends a `gap` event if it does not.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ async def send_piece(send: Send, body: bytes, *, more: bool = True) -> None:
 
 
 async def write_while_connected(receive: Receive, writing: Coroutine[None, None, None]) -> None:
-    """Write until all is written or the other side is gone; both tasks have ended when this returns."""
+    """Write until everything is written or the other side is gone; both tasks have ended when this returns."""
     tasks = (asyncio.ensure_future(_await_disconnect(receive)), asyncio.ensure_future(writing))
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -97,11 +97,11 @@ class Message:
 
 
 class Reader:
-    """One who reads. `queue` takes None as the end; error: why it came, where that is not the reader's own slowness."""
+    """A reader. None in `queue` is the end; error: its reason, unless the reader was too slow."""
 
     def __init__(self, most_waiting: int = MOST_WAITING) -> None:
         self.most_waiting = most_waiting
-        self.queue: asyncio.Queue[Message | None] = asyncio.Queue(most_waiting + 1)  # and the end
+        self.queue: asyncio.Queue[Message | None] = asyncio.Queue(most_waiting + 1)  # one more for the end
         self.error: Exception | None = None
 
 
@@ -117,7 +117,7 @@ class Hub(Generic[AReader]):
         self._number = 0
         self._ring: deque[tuple[int, Message]] = deque(maxlen=ring)
         self._status: Message | None = None
-        self._forgotten = 0  # number of the last event that fell out of the ring
+        self._forgotten = 0  # number of the last event that left the ring
         self._most = readers
         self._closed = False
 
@@ -162,7 +162,7 @@ class Hub(Generic[AReader]):
                 reader.queue.put_nowait(message)
 
     def end(self, reader: AReader, error: Exception | None = None) -> None:
-        """End a reader after what its queue holds."""
+        """End a reader after the contents of its queue."""
         if reader in self.readers:
             self.readers.discard(reader)
             reader.error = error
@@ -190,10 +190,11 @@ class Hub(Generic[AReader]):
 
 
 class HubStream(Response):
-    """An answer that is held open for a reader of a hub: ASGI of its own, because a stuck connection must be given up.
+    """An answer that is held open for a reader of a hub: its own ASGI application, because a stuck connection must be
+    given up.
 
-    join     : adds the reader to the hub and returns what it is sent first
-    is_there : looked at with each heartbeat; the stream ends where what it is about is no more
+    join     : adds the reader to the hub and returns its first messages
+    is_there : checked with each heartbeat; the stream ends if its subject no longer exists
     """
 
     def __init__(

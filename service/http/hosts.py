@@ -1,4 +1,4 @@
-"""The addresses of a server: which are this computer, which Host headers are served, and the socket itself.
+"""The addresses of a server: those of this computer, the accepted Host headers, and the listening socket.
 
 A page in a browser on the same machine could be served from a name that is re-pointed to 127.0.0.1 (DNS rebinding) and
 talk to us; a name cannot be re-pointed when only addresses and known names are accepted. The supervisor binds the
@@ -28,7 +28,7 @@ def is_loopback(host: str) -> bool:
 
 
 def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> None:
-    """Raise InputError if others could read traffic with an address on its way, and nobody vouches that they cannot.
+    """Raise InputError if others could read the traffic with an address, unless a person vouches that they cannot.
 
     vouched : a person states that there is TLS, or nobody else on the network; allowed: how to arrange that
     """

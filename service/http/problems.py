@@ -21,7 +21,7 @@ from phrases.phrase import Phrase, phrases_in
 from service.errors import printable, sentence_of_os_error
 
 GRANT, CONTROL = "Causticmill-Grant", "Causticmill-Control"  # headers of an order
-BY, FROM = "Causticmill-By", "Causticmill-From"  # whose it is and where it came from, as the server tells an agent
+BY, FROM = "Causticmill-By", "Causticmill-From"  # its person and origin, as the server reports them to an agent
 
 _TITLES = {
     400: "Bad request",
@@ -90,7 +90,7 @@ class ServerCode(StrEnum):
     AGENT_KEY_REFUSED = "agent_key_refused"
     AGENT_OTHER = "agent_other"
     AGENT_SILENT = "agent_silent"  # its event stream has ended
-    AGENT_WRONG = "agent_wrong"  # what it says cannot be
+    AGENT_WRONG = "agent_wrong"  # its answer is impossible
     AGENT_FAULT = "agent_fault"  # status, reason
     ORDER_UNCERTAIN = "order_uncertain"  # order: it may have arrived
     STOP_UNCERTAIN = "stop_uncertain"  # order, seconds: it may have arrived

@@ -1,5 +1,6 @@
-"""What the models of requests and answers are made of. What an answer says is made here, so words, hashes and times
-are told in the document and not held against it once more: what another version wrote is passed on, not refused.
+"""Types for the models of requests and answers. Our own code makes the contents of an answer, so the OpenAPI document
+describes words, hashes and times but answers are not validated against it again: a value that another version wrote is
+passed on, not refused.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ def one_of(words: Iterable[str]) -> Any:
 
 
 class PhraseView(Body):
-    """How a sentence was made: its template, and what stands in it by name, phrases in turn among that."""
+    """How a sentence was made: its template, and its values by name, which may be phrases too."""
 
     template: str
     values: dict[str, str | PhraseView]
 
 
 def phrase_views(document: Any) -> dict[str, PhraseView]:
-    """Return the phrases in what an answer holds."""
+    """Return the phrases in the contents of an answer."""
     return {text: PhraseView.model_validate(plain) for text, plain in phrases_in(document).items()}
 
 
@@ -54,8 +55,8 @@ Time = Annotated[float, PlainSerializer(iso_time, return_type=str)]
 
 @dataclass(frozen=True)
 class PassedOn:
-    """Marks a body that is handed to another server as it came and validated there, by this model. Only what cannot be
-    sent as JSON again (no object, NaN, half a character) is validated, and so refused, here.
+    """Marks a body that is passed on unchanged and validated by another server, by this model. Here it is refused only
+    if it cannot be sent as JSON again (not an object, NaN, half a character).
     """
 
     model: type[Body]

@@ -1,4 +1,4 @@
-"""How the API and its standby serve HTTP: the same limits, places and headers."""
+"""The common HTTP settings of the API and its standby: limits, places and headers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CONNECTIONS, _STRANGERS = 1000, 200
 
 
 def make_config(app: ASGIApp, **more: Any) -> uvicorn.Config:
-    """Return uvicorn's configuration. more : what only one of the two needs"""
+    """Return uvicorn's configuration. more : settings of only one of the two"""
     return uvicorn.Config(
         app,
         ws=PlacedWebSocket,
@@ -38,7 +38,7 @@ def make_admission() -> Admission:
 
 
 class PlacedWebSocket(WSProtocol):
-    """A stranger's place ends by time, or for the next stranger, until the application knows the caller."""
+    """A WebSocket with a place. A stranger's ends after a time, or for the next stranger."""
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)

@@ -1,1 +1,1 @@
-"""A job: its spec, its stages, what they make of it, and what is done by hand afterwards."""
+"""A job: its spec, its stages, their results, and the finish by hand afterwards."""

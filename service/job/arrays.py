@@ -1,4 +1,4 @@
-"""The arrays that stages hand to one another, as .npz files: the same arrays make the same bytes."""
+"""The arrays that stages hand over, as .npz files; equal arrays make equal bytes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def heightfield_bytes(heightfield: Heightfield) -> bytes:
 
 
 def load_heightfield(path: Path) -> Heightfield:
-    """Load a heightfield from its .npz; InputError where the file is none."""
+    """Load a heightfield from its .npz; InputError if the file is none."""
     arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
     rim_mm = float(arrays.pop("rim_mm", np.zeros(())))
     try:
@@ -65,20 +65,18 @@ def target_bytes(target: Array) -> bytes:
 
 
 def load_target(path: Path) -> Array:
-    """Return the exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again
-    later.
-    """
+    """Return the exact target irradiance (work frame, mean 1); map.npz also holds it, because later scores need it."""
     return load_arrays(path, ("target",))["target"]
 
 
 def load_original(path: Path) -> Array | None:
-    """Load the picture as given from a map.npz whose target is a prepared one; None where the target is that."""
+    """Load the picture as given from a map.npz whose target is a prepared one; None if the target is that."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             if "original" not in stored:
                 return None
     except (OSError, ValueError, EOFError, BadZipFile):
-        pass  # said by what reads the array
+        pass  # reported by the code that reads the array
     return load_arrays(path, ("original",))["original"]
 
 
@@ -89,7 +87,7 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
 
 
 def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
-    """Load those arrays of an .npz file; InputError where one is missing, or the file is none."""
+    """Load those arrays of an .npz file; InputError if one is missing, or the file is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             there = (*names, *(name for name in optional if name in stored))

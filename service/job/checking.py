@@ -1,5 +1,5 @@
-"""Check of programs that already exist, ours or edited by hand: the rules of the mill, as before a start, and the
-removal that they simulate.
+"""Checks existing programs, ours or edited by hand: against the rules of the mill, as before a start, and by simulating
+the removal.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Task = tuple[Sequence[Path], PassSpec | Facing | WitnessCut | CutOut]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckSettings:
-    """What the command line says of programs that come without a job: one value for all, or one for each."""
+    """Settings from the command line for programs that come without a job: one value for all, or one for each."""
 
     radius_mm: tuple[float, ...]
     pitch_mm: tuple[float, ...]
@@ -54,7 +54,7 @@ class CheckSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What the simulation says of one program."""
+    """The simulation's verdict on one program."""
 
     program: Path
     ok: bool
@@ -93,7 +93,7 @@ def check_programs(
         with watch.stage(f"pre-flight {path.name}") as reached:
             try:
                 broken = [words for one in paths for words in examine(one, limits, reached).faults]
-            except ProgramRefusedError as error:  # no mill is sent it
+            except ProgramRefusedError as error:  # it is never sent to a mill
                 verdicts.append(_make_unreadable_verdict(path, [str(error)]))
                 break
         with watch.stage(f"check {path.name}") as reached:
@@ -102,9 +102,9 @@ def check_programs(
                 if isinstance(spec, PassSpec):
                     result = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
                 else:
-                    assert job is not None  # nothing else knows of these
+                    assert job is not None  # only a job has such tasks
                     result = around.simulate(paths, spec, job, stock_top)
-            except CamError as error:  # text that no mill should be given
+            except CamError as error:  # text that must not be sent to a mill
                 verdicts.append(_make_unreadable_verdict(path, broken or [str(error)]))
                 break
         stock_top = result.stock_top

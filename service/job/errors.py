@@ -1,4 +1,4 @@
-"""The errors of the pure packages, as the service's own: what the person gave, or the job itself."""
+"""Translates the errors of the pure packages into the service's own: faults of the input, or of the job itself."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 Theory of operation: a command works in a hidden folder, inside the output folder where there is one (it may be a mount
 of its own, into which nothing can be renamed from outside), else beside its future place. Only when all has succeeded
 are the files renamed into the output folder, report.json last; failure or Ctrl-C removes the hidden folder and nothing
-else. A file that is renamed over another is whole at every moment.
+else. A file that is renamed over another is complete at every moment.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"} 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenProgram:
-    """What was written: file name, hash, lines and bytes."""
+    """A written program: file name, hash, lines and bytes."""
 
     file: str
     sha256: str
@@ -123,7 +123,7 @@ def program_order(name: str) -> tuple[int, int, str]:
 
 
 def is_drawing(name: str) -> bool:
-    """Return whether only the operator page reads the file: nobody wants it in a folder."""
+    """Return whether only the operator page reads the file, so that it is not needed in a folder."""
     return name in _DRAWINGS or _DRAWING.fullmatch(name) is not None
 
 
@@ -185,13 +185,13 @@ def write_json(path: Path, data: object) -> None:
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes its name when the block ends well, and is removed when it does not.
 
-    Raises FailedError, one line, where the disk refuses.
+    Raises FailedError, one line, if the disk refuses.
     """
     try:
         with open_whole(path) as file:
             yield file
     except OSError as error:
-        error.filename = None  # the hidden name says nothing to the person
+        error.filename = None  # the hidden name means nothing to the person
         raise FailedError(sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))) from error
 
 
@@ -215,7 +215,7 @@ def read_chunks(path: Path) -> Iterator[bytes]:
 
 
 def read_report(folder: Path) -> dict[str, Any]:
-    """Read report.json of a folder; empty when there is none. InputError where it is damaged."""
+    """Read report.json of a folder; empty when there is none. InputError if it is damaged."""
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -273,7 +273,7 @@ def _put_in_place(staging: Path, output: Path) -> None:
     if not output.exists():
         staging.rename(output)
         return
-    (output / REPORT).unlink(missing_ok=True)  # from here until the end this is no finished job
+    (output / REPORT).unlink(missing_ok=True)  # from here until the end this is not a finished job
     new = sorted(staging.iterdir(), key=lambda path: path.name == REPORT)
     names = {path.name for path in new}
     for old in output.iterdir():
@@ -312,9 +312,8 @@ def _lock_folder(folder: Path) -> Iterator[None]:
 
 
 def _clear_abandoned(output: Path, *, mine: Path) -> None:
-    """Remove staging folders of this output whose process was killed: those nobody holds a lock on.
-
-    InputError where another process does.
+    """Remove staging folders of this output whose process was killed, i.e. those without a lock. InputError if another
+    process holds a lock.
     """
     for folder in _find_staging_folders(output) - {mine}:
         with contextlib.suppress(OSError):
@@ -340,7 +339,7 @@ def _find_staging_folders(output: Path) -> set[Path]:
 
 @contextlib.contextmanager
 def _defer_signals() -> Iterator[None]:
-    """Ignore what stops a command in this short block, which ends the job anyway (main thread only)."""
+    """Ignore stop signals in this short block, which ends the job anyway (main thread only)."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -354,7 +353,7 @@ def _defer_signals() -> Iterator[None]:
 
 
 def plain(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the same figures with null in place of what is infinite or unknown, which JSON cannot say."""
+    """Return the same figures with null in place of infinite or unknown values, which JSON cannot express."""
     return {key: _value(value) for key, value in record.items()}
 
 
@@ -367,7 +366,7 @@ def _value(value: Any) -> Any:
 
 
 def table(value: Any) -> Mapping[str, Any]:
-    """Return a part of the report or of the spec; an empty one where there is none."""
+    """Return a part of the report or of the spec; an empty one if there is none."""
     return value if isinstance(value, Mapping) else {}
 
 

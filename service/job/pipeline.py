@@ -31,7 +31,7 @@ _LENS = ("image", "irradiance", "passes", "map", "heightfield", "caustic")
 
 @dataclass
 class FolderJob:
-    """A running command: the stages' common folder and desk, and what they have made so far."""
+    """A running command: the stages' common folder and desk, and their results so far."""
 
     so_far: JobSoFar
     folder: Path
@@ -52,7 +52,7 @@ class FolderJob:
         self._clear_desk(name)
 
     def _clear_desk(self, done: str) -> None:
-        """Free the memory of what is between stages only, once no later one reads it."""
+        """Free the memory of intermediate results that no later stage reads."""
         stages = plan(self.spec)
         later = stages[stages.index(done) + 1 :]
         wanted = {name for stage in later for name in reads(stage, self.desk)}
@@ -60,7 +60,7 @@ class FolderJob:
             del self.desk[name]
 
     def work(self, function: Callable[[StageContext], None], *, number: int = 0) -> None:
-        """Call a stage's function and add what it makes to the report and the notes."""
+        """Call a stage's function and add its results to the report and the notes."""
         context = StageContext(
             job=self.so_far.job,
             folder=self.folder,
@@ -74,7 +74,7 @@ class FolderJob:
             desk=self.desk,
         )
         with translate_errors():
-            self.picture_queue.raise_failures()  # a full disk is reported now, not after all that comes next
+            self.picture_queue.raise_failures()  # report a full disk now, not after all later stages
             function(context)
         self.so_far.add({**context.finish_report(), "timings_s": context.watch.timings_s}, context.notes)
 
@@ -134,7 +134,7 @@ def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> d
 
 def _warn_of_shortage(context: StageContext) -> None:
     from service.job.planning.fit import (
-        check_disk_space,  # what it stands on is slow to import: a lens alone does without
+        check_disk_space,  # its dependencies are slow to import, and a lens alone does not need them
     )
 
     disk = Phrase("the disk of {folder}", folder=context.folder.parent)
@@ -158,7 +158,7 @@ def _job(
 
 
 def _take_over(so_far: JobSoFar, earlier: dict[str, Any], *, programs: bool) -> None:
-    """Take over what an earlier report says of the parts that this command does not make anew."""
+    """Copy the parts of an earlier report that this command does not make again."""
     keys = (
         "source",
         "image",

@@ -196,7 +196,7 @@ class OrderBody(Body):
     """An order beside a run."""
 
     def command(self) -> Command:
-        """Return it as the mill takes it. Problem 422 where its values do not go together."""
+        """Return it as the mill takes it. Problem 422 if its values do not go together."""
         raise NotImplementedError
 
 

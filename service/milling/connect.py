@@ -1,4 +1,4 @@
-"""From a machine's name and a port to a Mill with its own thread: what `mill` and `stream` have in common."""
+"""Opens a Mill with its own thread from a machine's name and a port; shared by `mill` and `stream`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from machines.profile import MachineProfile, load_profile
 from phrases.phrase import Phrase
 from service.errors import InputError
 
-_FIND_THEMSELVES = ("roland-usb", "none")  # "none" says itself that it cannot be driven
+_FIND_THEMSELVES = ("roland-usb", "none")  # "none" reports by itself that it cannot be driven
 
 
 def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, str]:
-    """Return the profile, and where the mill is: as given, else as the profile says; "" where the driver finds it
+    """Return the profile and the mill's port: the given one, else the profile's; "" if the driver finds the mill
     itself.
     """
     profile = load_profile(machine)
@@ -30,7 +30,7 @@ def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, st
 
 
 def demand_blocks(facts: Preflight, name: str) -> None:
-    """Refuse an empty file, or one of comments only: it would be `finished` at once, which was never meant."""
+    """Refuse an empty file or one of comments only: it would be `finished` at once, which no one intends."""
     if facts.blocks == 0:
         raise ProgramRefusedError(
             0,
@@ -40,7 +40,7 @@ def demand_blocks(facts: Preflight, name: str) -> None:
 
 
 class Connector:
-    """Opens the link each time the mill asks for it. The first time may be done beforehand, to see it fail."""
+    """Opens the link each time the mill asks for it. The first time can be done beforehand, to see whether it fails."""
 
     def __init__(self, profile: MachineProfile, url: str) -> None:
         self._profile = profile
@@ -50,17 +50,17 @@ class Connector:
 
     @property
     def settings(self) -> ControllerSettings | None:
-        """What the controller said of itself; None where it has not, or the link has no such answers."""
+        """The controller's settings; None if it has not reported them, or if the link has no such answers."""
         settings = getattr(self._latest, "settings", None)
         return settings if isinstance(settings, ControllerSettings) and settings.values else None
 
     def open_now(self) -> None:
-        """Open the link and keep it for the first call; PortError where that cannot be done."""
+        """Open the link and keep it for the first call; PortError if that fails."""
         if self._ready is None:
             self._ready = self()
 
     def close_unused(self) -> None:
-        """Let go of a link that nobody called for."""
+        """Close a link that was not used."""
         if self._ready is not None:
             self._ready.close()
             self._ready = None

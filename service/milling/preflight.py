@@ -1,8 +1,8 @@
-"""Pre-flight of a program: read whole by a child process before it may run, remembered by its content.
+"""Pre-flight of a program: a child process reads it whole before it may run; the result is stored by its content.
 
-The compiled scanner lives in the child, so that the process that streams stays small. A result is kept under the
-sha256 of the program and everything it was held against; a quick key (size, time, inode) saves hashing a program that
-has not been touched. That key proves nothing: while streaming, each piece is hashed again before it is sent.
+The compiled scanner runs in the child, so that the streaming process stays small. A result is stored under the sha256
+of the program and of everything against which it was checked; a quick key (size, time, inode) saves hashing a program
+that has not been touched. That key proves nothing: while streaming, each piece is hashed again before it is sent.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ def run_preflight(
     cache: Path | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Preflight:
-    """Return what is known of the program at `path` before it may run on this mill.
+    """Return the facts about the program at `path` before it may run on this mill.
 
     settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
                what the program would leave of the travel at the present work zero (never kept: a zero moves)
-    ProgramRefusedError names line, text and way out; PreflightError where the file cannot be read at all.
+    ProgramRefusedError names line, text and way out; PreflightError if the file cannot be read at all.
     """
     folder = cache or default_cache()
     limits = limits_of(profile, settings)
@@ -152,7 +152,7 @@ def _digest(values: list[Any]) -> str:
 
 @functools.cache
 def _sources() -> str:
-    """Return the state of the code that judges: a new version judges anew."""
+    """Return the state of the judging code, so that a new version judges again."""
     machines = _ROOT / "machines"
     files = [file for pattern in ("gcode/*.py", "preflight/*.py", "roland/rml*.py") for file in machines.glob(pattern)]
     own = (_ROOT / "cam" / "duration.py", _ROOT / "service" / "milling" / "preflight_child.py")

@@ -1,4 +1,4 @@
-"""The child process of pre-flight: reads a whole program compiled, and writes what it found as one JSON file.
+"""The child process of pre-flight: reads a whole program with compiled code and writes its findings as one JSON file.
 
 Request: {"path", "limits", "result": the file to write}. Result: {}, or {"refused": ...} or {"failed": "..."}.
 """
@@ -44,7 +44,7 @@ def _answer(request: dict[str, Any], on_share: Callable[[float], None]) -> dict[
 
 
 def examine(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
-    """Read a whole program in this process; ProgramRefusedError where the mill may not run it."""
+    """Read a whole program in this process; ProgramRefusedError if the mill may not run it."""
     if limits.dialect == RML:
         return _read_rml(path, limits, on_share)
     return _read_gcode(path, limits, on_share)
@@ -64,7 +64,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
             max_rate_mm_per_min=limits.max_rate_mm_per_min,
             acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
             junction_deviation_mm=limits.junction_deviation_mm,
-            planner_blocks=limits.planner_blocks + 1,  # the slot that is always free is not reported
+            planner_blocks=limits.planner_blocks + 1,  # plus the slot that is always free and not reported
             lines_per_s=limits.lines_per_s,
             bytes_per_s=limits.bytes_per_s,
         )
@@ -184,7 +184,7 @@ def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None])
 
 
 def _chunks(path: Path, digest: hashlib._Hash, on_share: Callable[[float], None]) -> Iterator[bytes]:
-    """Yield the file in pieces, hashed on the way, with its share told."""
+    """Yield the file in pieces; hash them and report the share that has been read."""
     with path.open("rb", buffering=0) as file:
         size, done = max(1, os.fstat(file.fileno()).st_size), 0
         while chunk := file.read(_CHUNK_BYTES):

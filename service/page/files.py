@@ -1,6 +1,6 @@
-"""The files of the page as they are served: read when asked for, packed once, known by their content.
+"""The files of the page: read on request, compressed once, identified by their content.
 
-Some modules are no files: the server makes them, of what it knows itself.
+Some modules are not files: the server generates them from its own data.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PageFile:
 
 
 class PageFiles:
-    """Files of one folder. One that is changed on disk is read anew: who works on the page just loads it again.
+    """Files of one folder. A file that is changed on disk is read again, so a developer only has to reload the page.
 
     made : by path, the name that a module exports and what gives its value, as JSON
     """
@@ -54,7 +54,7 @@ class PageFiles:
         self._known: dict[str, tuple[tuple[int, int], PageFile]] = {}
 
     def file(self, path: str) -> PageFile | None:
-        """Return the file; None if there is none, or none that belongs to the page."""
+        """Return the file; None if there is no such file of the page."""
         if path in self._made:
             return self._module(path)
         kind = _PATH.fullmatch(path)

@@ -1,8 +1,8 @@
-"""A child process of ours, from the side that asks: requests go in as lines of JSON, words come back (`child_work`).
+"""A child process, from the caller's side: sends requests as lines of JSON and reads messages (`child_work`).
 
 A `Child` does work that its caller's own process must not do: pictures and estimates (`kept_child` shares one between
-callers), pre-flight, what is compiled in advance. A stage's process is forked and not started, but its words are read
-and understood by the same `Words` and `result_of`.
+callers), pre-flight, compiling in advance. A stage's process is forked and not started, but its messages are read by
+the same `Words` and `result_of`.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from service.processes.source_tree import python_path
 
 _LOOK_S = 0.1
 _PIECE_BYTES = 1 << 18
-_LINE_BYTES = 64_000_000  # longer words are no words
+_LINE_BYTES = 64_000_000  # longer messages are ignored
 _ENDS = {"result", "refused", "failed", "crashed"}
 
 
 class ChildError(Exception):
-    """There is no answer of a child process."""
+    """A child process gave no answer."""
 
 
 class ChildDied(ChildError):
-    """The process ended instead of answering, or did not start; how, in words."""
+    """The process ended instead of answering, or did not start; the words say how."""
 
 
 class ChildCrashed(ChildError):
-    """Its work ended with an error that is no person's to mend; which, in words."""
+    """Its work ended with an error that no person can correct; the words name it."""
 
 
 class ChildLate(ChildError):
@@ -47,7 +47,7 @@ class ChildLate(ChildError):
 
 
 def result_of(word: dict[str, Any]) -> dict[str, Any]:
-    """Return the result that a child's last word holds; its ServiceError, or ChildCrashed, where it says so."""
+    """Return the result in a child's last message; raise its ServiceError, or ChildCrashed, if it reports one."""
     phrases = word.get("phrases", {})
     found = {key: restore(value, phrases) for key, value in word.items() if key != "phrases"}
     match found:
@@ -67,9 +67,9 @@ def result_of(word: dict[str, Any]) -> dict[str, Any]:
 
 
 class Words:
-    """Reads a child's words as they come. What is none is passed over; nothing grows without bound.
+    """Reads a child's messages as they come. Anything else is skipped; nothing grows without bound.
 
-    is_open : the child may still say something; last: its last word, {} before it
+    is_open : the child may still send something; last: its last message, {} before that
     """
 
     def __init__(self, pipe: int) -> None:
@@ -83,17 +83,17 @@ class Words:
         self._poll.register(pipe, select.POLLIN)
 
     def read(self, timeout_s: float) -> None:
-        """Read what there is, or wait for it so long."""
+        """Read the available bytes, or wait for them this long."""
         if self._poll.poll(timeout_s * 1000):
             self._take()
 
     def drain(self) -> None:
-        """Read all that a dead child had still written."""
+        """Read everything that a dead child has still written."""
         while self.is_open and self._poll.poll(0):
             self._take()
 
     def take_share(self) -> float | None:
-        """Return how far the work is, 0 to 1, where that is news."""
+        """Return the progress, 0 to 1, if it is new."""
         share, self._share = self._share, None
         return share
 
@@ -125,19 +125,19 @@ class Words:
 
 
 class Child:
-    """A process that runs `module`, whose `main` is `answer_requests`, and leads a group of its own.
+    """A process that runs `module`, whose `main` is `answer_requests`, and leads its own group.
 
-    It dies with the *thread* that started it: let that one live as long as it. Only `kill` may be called by others.
+    It dies with the *thread* that started it, so that thread must live as long. Other threads may only call `kill`.
     """
 
     def __init__(self, module: str) -> None:
-        """Start it; OSError where that cannot be."""
-        self._ending = threading.Lock()  # its number is somebody else's once it was waited for
+        """Start it; OSError if that fails."""
+        self._ending = threading.Lock()  # its process id may be reused once it was waited for
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # decoders print what a stranger's file makes them print
+            stderr=subprocess.DEVNULL,  # a stranger's file can make decoders print anything
             env={**os.environ, "PYTHONPATH": python_path()},
             start_new_session=True,
             bufsize=0,
@@ -150,7 +150,7 @@ class Child:
         return self._process.pid
 
     def await_ready(self, within_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
-        """Wait until it has imported what it needs; ChildDied, or ChildLate where it takes longer or is given up."""
+        """Wait until it has imported its modules; ChildDied, or ChildLate if it takes longer or is given up."""
         until = time.monotonic() + within_s
         while not self._words.is_ready:
             if given_up() or time.monotonic() > until:
@@ -164,12 +164,12 @@ class Child:
         within_s: float = float("inf"),
         on_share: Callable[[float], None] | None = None,
     ) -> dict[str, Any]:
-        """Return the result of a request; ServiceError as its work raises it, ChildError where there is none."""
+        """Return the result of a request; ServiceError as its work raises it, ChildError if there is none."""
         self.begin(request)
         return self.finish(within_s=within_s, on_share=on_share)
 
     def begin(self, request: dict[str, Any]) -> None:
-        """Hand it a request; `finish` tells where it has died."""
+        """Send it a request; `finish` reports if it has died."""
         assert self._process.stdin is not None
         text = json.dumps(request).encode() + b"\n"
         with contextlib.suppress(OSError):
@@ -191,11 +191,11 @@ class Child:
         return result_of(word)
 
     def kill(self) -> None:
-        """Kill its group, from any thread: who waits for its answer gets ChildDied."""
+        """Kill its group, from any thread: a caller that waits for its answer gets ChildDied."""
         self._signal(signal.SIGKILL)
 
     def end(self, number: int = signal.SIGKILL) -> None:
-        """End it and all that it has started with this signal; return when it is gone."""
+        """End it and everything that it has started with this signal; return when it has ended."""
         self._signal(number)
         self._wait()
         for pipe in (self._process.stdin, self._process.stdout):
@@ -210,7 +210,7 @@ class Child:
                 signal_group(self._process.pid, number)
 
     def _wait(self) -> int:
-        """Wait for its end, then end its group, while its number is still its own."""
+        """Wait for its end, then end its group while its process id is still its own."""
         if self._process.returncode is None and sys.platform == "linux":
             os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
             self.kill()

@@ -1,11 +1,11 @@
-"""The inside of every child process: its limits, the requests that it reads and the words that it answers with.
+"""The inside of every child process: its limits, the requests that it reads, and the messages with which it answers.
 
 Words are JSON lines: {"ready": true} first where it is to answer several requests; for each of them {"share": 0.5} any
 number of times, then one of {"result": {...}}, {"refused": [lines], "kind" or "problems", "use"} for what people can
 mend, {"failed": [lines]}, {"crashed": text} for all else; beside texts their "phrases". `child` reads them.
 
-A stage's process, which the fork server forks, answers one request on a pipe of its own, in the same words, and watches
-over the worker's beats; everything printed goes to the stage's log.
+A stage's process, which the fork server forks, answers one request on its own pipe in the same format, and watches the
+worker's heartbeats; everything printed goes to the stage's log.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from service.errors import InputError, PictureError, ServiceError, SpecError, pr
 from service.processes.linux import address_space_bytes, die_with_parent, give_way, name_process
 
 Work = Callable[[dict[str, Any], Callable[[float], None]], dict[str, Any]]
-"""Does what a request asks for, says how far it is (0 to 1), returns the result: all plain JSON."""
+"""Carries out a request, reports its progress (0 to 1), and returns the result: all plain JSON."""
 
 _SHARE_EVERY_S = 0.1
 _HOPELESS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)  # trying again changes nothing
@@ -53,7 +53,7 @@ def answer_requests(
 
     beside_bytes, bytes_per_pixel : address space beyond what it starts with: always, and by `max_pixels` of the
                                     request; without them it has no limit
-    barred                        : resources of which it gets nothing
+    barred                        : resources that it may not use at all
     """
     if sys.platform == "linux":
         die_with_parent(int(sys.argv[1]), parent_ends_it_with)
@@ -63,7 +63,7 @@ def answer_requests(
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(kind, (0, 0))
     words = WordPipe(os.dup(1))
-    os.dup2(2, 1)  # what a library prints is no answer
+    os.dup2(2, 1)  # output of libraries must not be taken for an answer
     base = address_space_bytes() if sys.platform == "linux" else 0
     words.send({"ready": True})
     for line in sys.stdin:
@@ -75,13 +75,13 @@ def answer_requests(
 
 
 def word_of(work: Callable[[], dict[str, Any]], *, no_memory: Phrase | None = None) -> dict[str, Any]:
-    """Return the last word about some work: what it returns, or what it raises.
+    """Return the final message about some work: its result, or its error.
 
-    no_memory : says that there was too little memory; None: that is no case of its own
+    no_memory : makes the message for too little memory; None: that has no message of its own
     """
     try:
         word = {"result": work()}
-    except (Exception, SystemExit) as error:  # of a library: the process has its say
+    except (Exception, SystemExit) as error:  # from a library: the process still reports it
         word = _word_of_error(error, no_memory)
     return {**word, "phrases": phrases_in(word)}
 
@@ -108,7 +108,7 @@ def _is_short_of_memory(error: BaseException) -> bool:
 
 
 def limit_memory(most_bytes: int, *, for_good: bool = False) -> None:
-    """Limit the address space, and allow no core. for_good: it cannot be raised again, even from here."""
+    """Limit the address space, and forbid core dumps. for_good: it cannot be raised again, even from here."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = most_bytes if hard == resource.RLIM_INFINITY else min(most_bytes, hard)
@@ -116,7 +116,7 @@ def limit_memory(most_bytes: int, *, for_good: bool = False) -> None:
 
 
 class WordPipe:
-    """The pipe to who asked. Progress is dropped while the pipe is full: nothing waits, nothing piles up."""
+    """The pipe to the caller. Progress messages are dropped while the pipe is full: nothing waits, nothing piles up."""
 
     def __init__(self, pipe: int) -> None:
         self._pipe = pipe
@@ -134,7 +134,7 @@ class WordPipe:
                 os.write(self._pipe, _line({"share": float(share)}))  # shorter than PIPE_BUF: whole or not at all
 
     def send(self, word: dict[str, Any]) -> None:
-        """Send a word that must not be lost."""
+        """Send a message that must not be lost."""
         text = _line(word)
         with self._lock:
             os.set_blocking(self._pipe, True)
@@ -168,7 +168,7 @@ def find_entry(name: str) -> Work:
 
 
 def run_child(given: ChildOrder) -> NoReturn:
-    """Live the whole life of the process after the fork; never return to the fork server's code."""
+    """Run the process from the fork to its end; never return to the fork server's code."""
     code = 70
     try:
         _set_up_stage_process(given)
@@ -200,14 +200,14 @@ def _set_up_stage_process(given: ChildOrder) -> None:
     os.dup2(given.log, 1)
     os.dup2(given.log, 2)
     _close_all_but({given.order, given.words, given.beats})
-    with contextlib.suppress(OSError):  # short of memory, the kernel shall take this process and not the server
+    with contextlib.suppress(OSError):  # if memory is short, the kernel should kill this process and not the server
         Path("/proc/self/oom_score_adj").write_text(_TAKE_ME_FIRST, encoding="ascii")
     limit_memory(address_space_bytes() + given.memory_mb * 1_000_000, for_good=True)
-    faulthandler.enable(2)  # the stage's log shows where a signal struck
+    faulthandler.enable(2)  # the stage's log shows where a signal hit
 
 
 def _close_all_but(kept: set[int]) -> None:
-    """Close other children's pipes, which are open here, too: their ends would never be seen."""
+    """Close other children's pipes, which are also open here and would hide the end of those children."""
     first = 3
     for number in (*sorted(kept), os.sysconf("SC_OPEN_MAX")):
         os.closerange(first, number)
@@ -215,7 +215,7 @@ def _close_all_but(kept: set[int]) -> None:
 
 
 def _watch(beats: int, silence_s: float) -> None:
-    """End the whole group when the worker, or the fork server between, is gone or stands still."""
+    """End the whole group when the worker, or the fork server in between, has ended or hangs."""
     while True:
         ready, _, _ = select.select([beats], [], [], silence_s)
         if not ready or not os.read(beats, 65536):

@@ -1,5 +1,6 @@
-"""The files that this program keeps: they appear whole or not at all, and are for its own account alone, folders 0700,
-files 0600, under any umask. And one server alone has a data folder: its lock ends with its holder, however that ends.
+"""The files of this program: they appear complete or not at all, and only its own account can read them (folders 0700,
+files 0600, under any umask). Also the lock by which only one server uses a data folder; it ends with its holder in
+every case.
 
 Only the standard library: the supervisor and the command line use it before anything else is imported.
 """
@@ -25,8 +26,8 @@ _LOCK = "serve.lock"
 
 @contextlib.contextmanager
 def open_whole(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
-    """Open a file that takes its name once the block has ended well and its bytes are on the disk, in place of one
-    that is there. OSError; where the block or the disk fails nothing is left.
+    """Open a file that gets its name once the `with` block has succeeded and its bytes are on disk; it replaces an
+    existing one. OSError; if the block or the disk fails, nothing is left.
 
     mode : of the file, less the umask
     """
@@ -49,9 +50,8 @@ def write_whole(path: Path, text: str, mode: int = 0o666) -> None:
 
 
 def keep_private(folder: Path) -> Path:
-    """Make a data folder if need be, close it to others, and all that this process and its children make from now on.
-
-    FailedError, one line, where that cannot be.
+    """Make a data folder if necessary, and make it private, as well as all files that this process and its children
+    create from now on. FailedError, one line, if that fails.
     """
     os.umask(_OTHERS)
     try:
@@ -62,9 +62,9 @@ def keep_private(folder: Path) -> Path:
 
 
 def make_private(folder: Path, *, holding: Sequence[str] = ()) -> None:
-    """Make a folder if need be and close it to others; one that was open until now with all that is in it. OSError.
+    """Make a folder if necessary and make it private; if it was open until now, with all its contents. OSError.
 
-    Once it is closed nobody else reaches what is in it: a folder that is closed already is not walked through.
+    No one else can reach the contents of a private folder, so one that is already private is not searched.
     holding : files of which one must be in a folder that a person has named, unless it is empty: a home, or the whole
               computer, is not ours to close
     """
@@ -88,7 +88,7 @@ def make_private(folder: Path, *, holding: Sequence[str] = ()) -> None:
 
 
 def forget_oldest(folder: Path, most_bytes: int) -> None:
-    """Keep a folder of results small: the least recently used go first, the two last ones never."""
+    """Keep a folder of results small: delete the least recently used first, but never the last two."""
     with contextlib.suppress(OSError):
         files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
         excess = sum(file.stat().st_size for file in files) - most_bytes
@@ -104,12 +104,14 @@ def _close(path: Path) -> None:
         mode = path.lstat().st_mode
         if not stat.S_ISLNK(mode) and mode & _OTHERS:
             path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
-    except (FileNotFoundError, PermissionError):  # gone meanwhile; or another account's, and out of others' reach now
+    except (FileNotFoundError, PermissionError):  # deleted meanwhile, or another account's and now out of reach
         pass
 
 
 def lock_folder(folder: Path, *, doing: str = "served") -> IO[str]:
-    """Lock a file, to be kept open; the folder is made if need be. InputError where another process has it."""
+    """Lock a file, which the caller keeps open; make the folder if necessary. InputError if another process has the
+    lock.
+    """
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"--data {folder} is a file; allowed: a folder")

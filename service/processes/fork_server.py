@@ -1,13 +1,13 @@
-"""The fork server: a warm process with one thread that forks a child for each stage, watches over it and reaps it.
+"""The fork server: a warm process with one thread that forks a child for each stage, monitors it and reaps it.
 
 Theory of operation: numpy, numba and our own modules take a second to import, so they are imported once, here, before
-any fork; what only some stages need (LATER of the entry's module) is imported piece by piece while there is nothing
-else to do, and a child that needs it earlier imports it by itself. A fork copies a process safely only while it has one
-thread, so nothing here starts one (OPENBLAS_NUM_THREADS is 1, no kernel runs). The worker sends orders and beats over a
-socket; beats are handed on to the children. Each child leads a group of its own; descendants that lose their parent are
-adopted (subreaper). When a child has ended, or was silent too long, the rest of its group is killed, and its end is
-reported only when nobody of it is left. The leader is not waited for before its group was signalled, so its number
-cannot belong to anybody else. When the worker goes, the socket ends, and so does everything here.
+any fork; modules that only some stages need (LATER of the entry's module) are imported piece by piece while the server
+is idle, and a child that needs them earlier imports them itself. A process can be forked safely only while it has one
+thread, so nothing here starts one (OPENBLAS_NUM_THREADS is 1, no kernel runs). The worker sends orders and heartbeats
+over a socket; heartbeats are passed on to the children. Each child leads its own group; descendants that lose their
+parent are adopted (subreaper). When a child has ended, or was silent for too long, the rest of its group is killed, and
+its end is reported only when none of the group is left. The leader is waited for only after its group was signalled, so
+its process id cannot belong to another process. When the worker ends, the socket closes, and everything here ends.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from service.processes.linux import (
 )
 
 MESSAGE_BYTES = 65536
-FILES = 3  # that come with an order: the order itself, the pipe of words, the log
+FILES = 3  # that come with an order: the order itself, the pipe of messages, the log
 _REAP_S = 0.01
-_ENDING_S = 2.0  # a process in the middle of a disk access may take longer: the kernel ends it later
+_ENDING_S = 2.0  # a process in a disk access may take longer: the kernel ends it later
 
 
 @dataclass(slots=True)
@@ -67,10 +67,10 @@ class _Loop:
         self._stages: dict[int, _Stage] = {}  # by process id
         self._pid = os.getpid()
         self._is_ending = False
-        self._wakers = socket.socketpair()  # held as long as signals may come
+        self._wakers = socket.socketpair()  # kept open as long as signals may come
 
     def serve(self) -> None:
-        """Serve until the worker closes its end, is gone, or a SIGTERM has come."""
+        """Serve until the worker closes its end or has ended, or a SIGTERM arrives."""
         wake, woken = self._wakers
         for end in self._wakers:
             end.setblocking(False)
@@ -94,19 +94,19 @@ class _Loop:
             self._reap()
 
     def _on_sigterm(self, *_: object) -> None:
-        """Note the signal only: an import, or the end itself, that was interrupted is not entered a second time."""
+        """Only note the signal: an interrupted import, or an interrupted end, must not be entered a second time."""
         if os.getpid() != self._pid:  # a child that got the signal before it had set itself up
             os._exit(128 + signal.SIGTERM)
         self._is_ending = True
 
     def end(self) -> NoReturn:
-        """Leave nobody behind."""
+        """End all children."""
         for stage in self._stages.values():
             signal_stage(stage.pid, signal.SIGKILL)
         until = time.monotonic() + _ENDING_S
-        with contextlib.suppress(ChildProcessError):  # nobody is left
+        with contextlib.suppress(ChildProcessError):  # none is left
             while time.monotonic() < until:
-                for pid in own_children():  # who had left his group is adopted when his parent is dead
+                for pid in own_children():  # a process that has left its group is adopted when its parent is dead
                     with contextlib.suppress(ProcessLookupError):
                         os.kill(pid, signal.SIGKILL)
                 while os.waitpid(-1, os.WNOHANG)[0]:
@@ -132,7 +132,7 @@ class _Loop:
         )
 
     def _listen(self) -> bool:
-        """Take one message; False: the worker is gone."""
+        """Handle one message; False: the worker has ended."""
         try:
             data, files, _, _ = socket.recv_fds(self._line, MESSAGE_BYTES, FILES)
         except InterruptedError:
@@ -154,7 +154,7 @@ class _Loop:
         for stage in self._stages.values():
             if stage.number == number:
                 stage.last_beat_at = time.monotonic()
-                with contextlib.suppress(OSError):  # a child that is busy, or gone
+                with contextlib.suppress(OSError):  # the child is busy, or has ended
                     os.write(stage.beats, b".")
 
     def _start(self, message: dict[str, Any], files: list[int]) -> None:
@@ -165,7 +165,7 @@ class _Loop:
             parent=self._pid, entry=self._entry, memory_mb=message["memory_mb"], silence_s=silence_s,
             order=files[0], words=files[1], log=files[2], beats=beats,
         )  # fmt: skip
-        begun = time.monotonic()  # before the child counts: it shall not end itself first, and seem to have crashed
+        begun = time.monotonic()  # before the child counts: it must not end itself first and seem to have crashed
         try:
             pid = os.fork()
         except OSError as error:
@@ -186,7 +186,9 @@ class _Loop:
                 signal_stage(stage.pid, signal.SIGKILL)
 
     def _reap(self) -> None:
-        """Wait for the dead, kill who outlives his leader or has left his group, report whose group is gone."""
+        """Reap dead processes, kill those that outlive their leader or have left their group, and report the stages
+        whose groups are gone.
+        """
         while (dead := _find_dead()) is not None:
             if (stage := self._stages.get(dead)) is not None:
                 signal_group(dead, signal.SIGKILL)
@@ -216,12 +218,12 @@ class _Loop:
         self._send({"ended": stage.number, "status": stage.status, "silent": stage.silent, "peak_mb": stage.peak_mb})
 
     def _send(self, message: dict[str, Any]) -> None:
-        with contextlib.suppress(OSError):  # the worker is gone: the next read tells
+        with contextlib.suppress(OSError):  # the worker has ended: the next read shows it
             self._line.send(json.dumps(message).encode())
 
 
 def _find_dead() -> int | None:
-    """Find a child that has ended and was not waited for; it is left so."""
+    """Find a child that has ended and was not waited for, without waiting for it."""
     try:
         found = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
     except ChildProcessError:
@@ -237,13 +239,13 @@ def _group(pid: int) -> int:
 
 
 def main() -> None:
-    """Run. Arguments: the socket, the worker's process id, the function that does a stage's work."""
+    """Run the fork server. Arguments: the socket, the worker's process id, the function that does a stage's work."""
     line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     name_process("cm-forkserver")
-    die_with_parent(worker)  # at once, even where an import waits for something
+    die_with_parent(worker)  # at once, even if an import waits for something
     give_way()
     use_current_kernels()
-    gc.disable()  # importing makes nothing but what stays
+    gc.disable()  # everything that importing creates stays
     find_entry(entry)
     gc.freeze()
     gc.enable()

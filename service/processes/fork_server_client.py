@@ -1,4 +1,5 @@
-"""The worker's end of the fork server: starts it when it is needed, hands it orders and beats, hears who has ended.
+"""The worker's end of the fork server: starts it when needed, sends it orders and heartbeats, and learns which children
+have ended.
 
 One thread, the keeper, starts the fork server process and listens to it: the kernel ties a process to the thread that
 started it, so that thread has to live as long.
@@ -26,12 +27,14 @@ _ANSWER_S = 10.0
 
 
 class ForkServerError(Exception):
-    """There is no fork server, or it went away, before a child was started."""
+    """There is no fork server, or it ended before a child was started."""
 
 
 @dataclass(slots=True, eq=False)
 class ForkedChild:
-    """One stage's process as the fork server reports it. `gone`: nobody of its group is left, or the server is dead."""
+    """One stage's process as the fork server reports it. `gone`: no process of its group is left, or the server is
+    dead.
+    """
 
     number: int
     server: ForkServer
@@ -45,11 +48,11 @@ class ForkedChild:
     gone: threading.Event = field(default_factory=threading.Event)
 
     def send_beat(self) -> None:
-        """Tell it that the worker is well, and still owns its job."""
+        """Send a heartbeat: the worker is alive and still owns its job."""
         self.server.send_beat(self)
 
     def give_up(self) -> None:
-        """End the fork server, which does not tell of this child any more."""
+        """End the fork server, because it no longer reports on this child."""
         self.server.kill()
 
 
@@ -59,7 +62,7 @@ class ForkServer:
     def __init__(self, environment: Mapping[str, str], entry: str) -> None:
         self.ready = threading.Event()
         self.over = threading.Event()
-        self.threads = 0  # it had when it had imported everything; 0: it has not
+        self.threads = 0  # that it had after importing everything; 0: not there yet
         self.words = ""
         self.idle_since = time.monotonic()
         self.lock = threading.Lock()
@@ -73,7 +76,7 @@ class ForkServer:
         self._keeper.start()
 
     def add(self, child: ForkedChild, message: dict[str, Any], files: list[int]) -> None:
-        """Order a child. ForkServerError where this fork server takes no more."""
+        """Order a child. ForkServerError if this fork server takes no more."""
         with self.lock:
             if self.closing or self.over.is_set():
                 raise ForkServerError(self.words)
@@ -89,10 +92,10 @@ class ForkServer:
         try:
             self._line.send(json.dumps({"beat": child.number}).encode(), socket.MSG_DONTWAIT)
         except OSError:
-            return  # it is full or gone: both show elsewhere
+            return  # the pipe is full or the server is gone: both are noticed elsewhere
 
     def close(self) -> None:
-        """Take no more children; those there are die, and it ends."""
+        """Take no more children, let the present ones die, and end the server."""
         with self.lock:
             self.closing = True
         try:
@@ -101,7 +104,7 @@ class ForkServer:
             return
 
     def kill(self) -> None:
-        """Kill it, as it does not answer: the kernel ends its children with it."""
+        """Kill a server that does not answer: the kernel ends its children with it."""
         with self.lock:
             if self._process is not None:
                 self._process.kill()
@@ -134,7 +137,7 @@ class ForkServer:
             stdout=subprocess.DEVNULL,
             pass_fds=(self._its_line.fileno(),),
             env={**self._environment, **one_thread, "PYTHONPATH": python_path(), "MPLBACKEND": "Agg"},
-            start_new_session=True,  # Ctrl-C on the terminal is for the worker to judge
+            start_new_session=True,  # the worker alone handles Ctrl-C on the terminal
         )
 
     def _listen(self) -> None:
@@ -184,7 +187,7 @@ class ForkServer:
             return self._children.pop(number)
 
     def _end(self) -> None:
-        """Leave no process of it; callers that wait for a child learn that it is orphaned."""
+        """End all its processes; callers that wait for a child learn that it is orphaned."""
         self._line.close()
         self._its_line.close()
         if self._process is not None:
@@ -209,7 +212,7 @@ def _wait_for(process: subprocess.Popen[bytes]) -> int:
 
 
 class ForkServerLink:
-    """The fork server there is, or a new one. Any thread may call.
+    """Uses the running fork server, or starts a new one. Any thread may call.
 
     entry     : `module:function` that its children run
     memory_mb : that each of them may take
@@ -223,7 +226,7 @@ class ForkServerLink:
         self._closed = False
 
     def begin(self) -> ForkServer:
-        """Start it if there is none; it need not be ready."""
+        """Start a fork server if there is none, without waiting until it is ready."""
         with self._lock:
             if self._closed:
                 raise ForkServerError("the worker is ending")
@@ -232,7 +235,7 @@ class ForkServerLink:
             return self._server
 
     def start_child(self, server: ForkServer, files: list[int], *, silence_s: float) -> ForkedChild:
-        """Start a child that works on the files' order; ForkServerError where it could not be started."""
+        """Start a child that carries out the order in the files; ForkServerError if it could not be started."""
         with self._lock:
             self._number += 1
             child = ForkedChild(self._number, server)

@@ -1,8 +1,8 @@
-"""A child process that many callers share: started when it is needed, asked one thing after the other, and replaced
-when it has ended, is late or has crashed.
+"""A child process that many callers share. It is started when needed, answers one request after the other, and is
+replaced if it ends, is late or crashes.
 
 One thread, the keeper, owns the process: the kernel ties a process to the thread that started it, so that thread lives
-as long as the process may be wanted.
+as long as the process may be needed.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class ChildNotStarted(ChildError):
 
 
 class ChildClosed(ChildError):
-    """Nobody asks it any more: this server is ending."""
+    """The child is closed: this server is ending."""
 
 
 class TooManyWaiting(ChildError):
-    """So many requests wait already that one more is not taken."""
+    """Too many requests are waiting to accept another one."""
 
 
 class Superseded(ChildError):
-    """The caller has asked for something else, or has gone."""
+    """The caller has made a newer request, or has gone."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -55,9 +55,9 @@ class KeptChild:
     answer_s     : after which an answer is late
     long_s       : the same of long requests, and of the first one
     start_s      : after which the process counts as one that does not start
-    idle_s       : after which a process that nobody asks is ended; None: never
+    idle_s       : after which an unused process is ended; None: never
     most_waiting : requests; None: any number
-    explain      : gives, for a ChildError, what callers get in its place
+    explain      : makes the error that callers get in place of a ChildError
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class KeptChild:
             self._start_keeper(at_once=True)
 
     def ask(self, caller: str, asked: dict[str, Any], *, is_long: bool = False) -> Future[Answer]:
-        """Return what the process answers. Ends the caller's earlier requests, or joins an equal one."""
+        """Return the answer of the process. This ends the caller's earlier requests, or joins an equal one."""
         request = _Request(caller=caller, asked=asked, is_long=is_long)
         with self._condition:
             if self._closed:
@@ -106,19 +106,19 @@ class KeptChild:
         return request.answer
 
     def leave(self, caller: str) -> None:
-        """End a caller's requests: it has gone, or asked for something else."""
+        """End a caller's requests: it has gone, or made a newer request."""
         with self._condition:
             self._end_all_of(caller)
 
     @property
     def callers(self) -> set[str]:
-        """Who waits for an answer."""
+        """The callers that wait for an answer."""
         with self._condition:
             return {one.caller for one in (self._running, *self._waiting) if one is not None}
 
     @property
     def child_pid(self) -> int | None:
-        """Of the process, while there is one."""
+        """Id of the process, while there is one."""
         child = self._child
         return None if child is None else child.pid
 
@@ -136,18 +136,18 @@ class KeptChild:
             self._thread.join()
 
     def _start_keeper(self, *, at_once: bool = False) -> None:
-        """Start the thread, with the condition held; and at once the process."""
+        """Start the thread, and with it the process. The caller holds the condition."""
         if self._thread is None:
             name = self._module.rpartition(".")[2]
             self._thread = threading.Thread(target=self._keep, args=(at_once,), name=name, daemon=True)
             self._thread.start()
 
     def _requests_of(self, caller: str) -> list[_Request]:
-        """Return a caller's requests, with the condition held."""
+        """Return a caller's requests. The condition must be held."""
         return [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
 
     def _end_all_of(self, caller: str) -> None:
-        """End a caller's requests, with the condition held; the process, too, where it works on a long one."""
+        """End a caller's requests, and the process if it works on a long one of them. The condition must be held."""
         older = self._requests_of(caller)
         for one in older:
             one.end(self._explain(Superseded()))
@@ -158,14 +158,14 @@ class KeptChild:
 
     def _keep(self, at_once: bool) -> None:
         if at_once:
-            with suppress(ChildError):  # the first request tries again, and says so
+            with suppress(ChildError):  # the first request tries again, and reports the error
                 self._ready_child()
         while (request := self._wait_for_next()) is not None:
             self._finish(request)
         self._drop()
 
     def _wait_for_next(self) -> _Request | None:
-        """Return the next one to be answered; meanwhile an idle process is ended. None: closed."""
+        """Return the next request, None if closed. Meanwhile end an idle process."""
         with self._condition:
             self._running = None
             if self._killed:
@@ -185,7 +185,7 @@ class KeptChild:
             found = self._answer(request)
         except ChildError as error:
             self._drop()
-            if not request.answer.done():  # otherwise it was not wanted any more
+            if not request.answer.done():  # otherwise its caller no longer wants it
                 request.end(self._explain(error))
         except ServiceError as error:
             request.end(error)
@@ -196,14 +196,14 @@ class KeptChild:
     def _answer(self, request: _Request) -> Answer:
         child = self._ready_child()
         if request.is_long and request.answer.done():
-            raise Superseded  # left while the process began
+            raise Superseded  # its caller left while the process started
         is_short = self._warm and not request.is_long
         found = child.ask(request.asked, within_s=self._answer_s if is_short else self._long_s)
         self._warm = True
         return found
 
     def _ready_child(self) -> Child:
-        """Return the process, started if need be; ChildNotStarted."""
+        """Return the process; start it first if necessary. Raises ChildNotStarted."""
         if self._child is None:
             try:
                 child = Child(self._module)

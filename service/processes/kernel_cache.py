@@ -1,10 +1,10 @@
-"""Where numba keeps compiled kernels, each under the hash of its own code; and one thread for the linear algebra.
+"""Sets numba's cache of compiled kernels, each under the hash of its code, and limits linear algebra to one thread.
 
 `kernel_locator.py` names them: numba's file cache notices a change in a kernel's own file, but not in a kernel of
-another file that it calls, and on a mill an old kernel is a wrong cut.
+another file that it calls, and on a mill an outdated kernel means a wrong cut.
 
 Linear algebra libraries add up in another order when they use another number of threads, so that the same job would
-have other last digits, and other hashes, on another computer. Our own kernels use threads where that gains time.
+have other last digits, and other hashes, on another computer. Our own kernels use threads where that saves time.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def use_current_kernels() -> None:
     if "NUMBA_CACHE_DIR" not in os.environ:
         folder = _folder()
         try:
-            make_private(folder)  # what others could write here would run as ours
+            make_private(folder)  # code that others could write here would run as ours
         except OSError:
             return  # no home to write to: numba falls back to its own choice
         _delete_unused(folder)
@@ -55,8 +55,8 @@ def _delete_unused(folder: Path) -> None:
 
 
 def ready_mark(task: str) -> Path:
-    """Return a file beside the kernels: there once all that this task needs is compiled, as our sources and numba are
-    now.
+    """Return a mark file beside the kernels, which exists once everything for this task is compiled for the present
+    sources and numba.
     """
     return _folder() / f"{task}-{version('numba')}-{_state_of_sources()}.ready"
 

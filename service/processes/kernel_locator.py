@@ -1,9 +1,9 @@
-"""Where numba finds a kernel's compiled code: a folder named by the hash of all the code that it is compiled from.
+"""Tells numba where a kernel's compiled code is: in a folder named by the hash of all its source code.
 
-numba's own locators know a kernel by its file, and notice neither a change in a kernel of another file that it calls
-nor that a docstring does not matter. Here the name follows the kernel's definition, without docstrings, and those of
-all names of ours that it uses, directly or not, constants and annotations among them. So an old kernel is never found
-under a new name, and the cache serves any copy of the sources, wherever it lies.
+numba's own locators identify a kernel by its file. They do not notice a change in a kernel of another file that it
+calls, and they do notice changes of docstrings. Here the hash covers the kernel's definition, without docstrings, and
+the definitions of all our names that it uses, directly or not, including constants and annotations. So an outdated
+kernel is never used, and any copy of the sources, in any place, shares the cache.
 """
 
 from __future__ import annotations
@@ -29,12 +29,14 @@ from service.processes.files import write_whole
 from service.processes.source_tree import PACKAGES, hash_files, parse
 
 _ROOT = Path(__file__).parents[2]
-_MOST_WAIT_S, _LOOK_S = 30.0, 0.02  # for another process to compile a kernel
-_reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
+_MOST_WAIT_S, _LOOK_S = 30.0, 0.02  # wait for another process that compiles a kernel
+_reading = threading.Lock()  # removing docstrings changes syntax trees that all kernels share
 
 
 class KernelLocator(caching._CacheLocator):
-    """Named to numba by NUMBA_CACHE_LOCATOR_CLASSES; None for functions that are not at the top of a file of ours."""
+    """Given to numba by NUMBA_CACHE_LOCATOR_CLASSES; None for functions that are not at the top level of one of our
+    files.
+    """
 
     def __init__(self, module: str, name: str, root: Path) -> None:
         self._stamp = _find_hash(module, name, root)
@@ -60,8 +62,8 @@ class KernelLocator(caching._CacheLocator):
 
 
 class _Index(caching.IndexDataCacheFile):
-    """What is kept of a kernel. The types of its arguments are kept by the names of their modules, which are no part of
-    the kernel's definition: where one has moved, nothing is kept, and the kernel is compiled anew.
+    """The cache index of a kernel. The types of its arguments are stored by their modules' names, which are not part of
+    the kernel's definition: if such a module has moved, the index is ignored and the kernel is compiled again.
     """
 
     def _load_index(self) -> dict[Any, Any]:
@@ -73,11 +75,11 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class _SharedCache(caching.FunctionCache):
-    """A kernel's cache that waits where another process is compiling the same: two that begin together, as the tests
-    do, would each compile everything.
+    """A kernel's cache that waits while another process compiles the same kernel: two processes that start together, as
+    tests do, would otherwise each compile everything.
 
-    Nobody waits in a circle: who compiles one kernel waits at most for one that it calls. A process that ends lets go
-    of its lock.
+    There is no deadlock: a process that compiles a kernel waits at most for a kernel that this one calls. A process
+    that ends releases its lock.
     """
 
     _lock: IO[bytes] | None = None
@@ -104,8 +106,8 @@ class _SharedCache(caching.FunctionCache):
 
 
 def _take_lock(path: Path) -> IO[bytes]:
-    """Lock the file once nobody else has it, and return it; unlocked after half a minute, for who could not compile a
-    kernel keeps its lock.
+    """Wait for the lock of the file and return the file; after half a minute return it unlocked, because a process that
+    could not compile a kernel keeps its lock.
     """
     file = path.open("wb")
     end = time.monotonic() + _MOST_WAIT_S
@@ -129,7 +131,7 @@ def _cache_folder() -> str:
 
 
 def _find_hash(module: str, name: str, root: Path) -> str:
-    """Return the same as `kernel_hash`, which for all kernels takes a third of the time of importing them."""
+    """Return `kernel_hash` from a cache: computing it for all kernels takes a third of their import time."""
     known, at = _known_hashes(root), f"{module}.{name}"
     if at not in known:
         known[at] = kernel_hash(module, name, root)
@@ -138,7 +140,7 @@ def _find_hash(module: str, name: str, root: Path) -> str:
 
 @cache
 def _known_hashes(root: Path) -> dict[str, str]:
-    """Return hashes by name that processes before this one have found in the same sources; those of this one are kept
+    """Return the hashes, by name, that earlier processes have computed for the same sources; this process adds its own
     at its end.
     """
     sources = (path for package in PACKAGES for path in sorted((root / package).rglob("*.py")))
@@ -162,7 +164,7 @@ def _keep_hashes(path: Path, known: dict[str, str], count: int) -> None:
 
 
 def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
-    """Return hash of what a module's top-level `name` is made of, along all names of modules under `root`."""
+    """Return the hash of the definitions on which a module's top-level `name` depends, in modules under `root`."""
     found: dict[tuple[str, str], str] = {}
     waiting = [(module, name)]
     while waiting:
@@ -177,8 +179,8 @@ def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
 
 @cache
 def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Return the statements that bind a module's top-level name, as text without docstrings, and the names of modules
-    of ours that they use. A whole module where the name is "".
+    """Return the statements that bind a module's top-level name, as text without docstrings, and the names from our
+    modules that they use. The name "" means the whole module.
     """
     names, text, uses = _names(root, module), [], []
     for bound in [name] if name else names:
@@ -199,14 +201,14 @@ def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[st
 
 
 def _resolve_import(root: Path, imported: str) -> list[tuple[str, str]]:
-    """Return what an import is: something of a module of ours, or a module, which counts as a whole."""
+    """Resolve an import to a name in one of our modules, or to a module, which counts as a whole."""
     module, _, name = imported.rpartition(".")
     return [at for at in ((imported, ""), (module, name)) if _file(root, at[0]).is_file()]
 
 
 @cache
 def _names(root: Path, module: str) -> dict[str, list[ast.stmt]]:
-    """Return the statements at a module's top by the names that they bind."""
+    """Return a module's top-level statements by the names that they bind."""
     names: dict[str, list[ast.stmt]] = {}
     for statement in parse(_file(root, module)).body:
         for one in statement.body if isinstance(statement, ast.If) else [statement]:  # if TYPE_CHECKING

@@ -1,8 +1,8 @@
-"""What a child of `serve` inherits from its supervisor: a pipe for beats, the bound socket to serve, and the line
-between API and standby.
+"""The descriptors that a child of `serve` inherits from its supervisor: a pipe for heartbeats, the bound socket to
+serve, and the line between API and standby.
 
-The pipe tells both ways: without beats the supervisor takes the child for frozen, and a supervisor that is gone closes
-it. Only what the standard library has is imported here.
+The pipe works both ways: without heartbeats the supervisor considers the child frozen, and a supervisor that has ended
+closes it. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ LINE_FD = "CAUSTICMILL_LINE_FD"
 SUPERVISOR = "CAUSTICMILL_SUPERVISOR"
 PAIRING_OFFER = "CAUSTICMILL_PAIRING_OFFER"
 BEAT_S = 0.5
-SERVING, GONE = b"serving", b"gone"  # what is said on the line between API and standby
+SERVING, GONE = b"serving", b"gone"  # messages on the line between API and standby
 SERVING_EVERY_S = 0.5
-LINE_BYTES = 400_000  # at most in one message: what was read of a connection that is handed over
-STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # what ends the server, and with it its children
+LINE_BYTES = 400_000  # longest message: the bytes already read of a connection that is handed over
+STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # signals that end the server, and with it its children
 
 healthy: Callable[[], bool] = lambda: True  # noqa: E731 - replaced by a process that knows better about itself
 
 
 def begin() -> None:
-    """Die with the supervisor from now on, and beat as long as `healthy` says so. Nothing outside of `serve`."""
+    """From now on, die with the supervisor, and send heartbeats while `healthy` returns True. Does nothing outside
+    `serve`.
+    """
     descriptor = _take_descriptor(BEAT_FD)
     if descriptor is None:
         return
@@ -42,7 +44,7 @@ def begin() -> None:
 
 
 def inherit_socket() -> socket.socket | None:
-    """Return the address the supervisor has bound; None: not started by it, or not to serve."""
+    """Return the socket that the supervisor has bound; None if it did not start this process, or not to serve."""
     descriptor = _take_descriptor(LISTEN_FD)
     return None if descriptor is None else socket.socket(fileno=descriptor)
 
@@ -63,13 +65,13 @@ def make_line() -> tuple[socket.socket, socket.socket]:
 
 
 def say(line: socket.socket, word: bytes) -> None:
-    """Say SERVING or GONE to the standby, if there is one that listens."""
+    """Send SERVING or GONE to the standby, if one listens."""
     with contextlib.suppress(OSError):
         line.send(word)
 
 
 def _take_descriptor(name: str) -> int | None:
-    """Take a descriptor named by the environment, from now on this process's alone."""
+    """Take over a descriptor that the environment names; child processes do not inherit it."""
     text = os.environ.pop(name, None)
     if text is None:
         return None

@@ -1,5 +1,5 @@
-"""What the standard library lacks of Linux: signals when a parent dies, adoption of orphans, who is in a group. And who
-goes first where a computer has too much to do: agents of mills, then servers, then what computes.
+"""Linux functions that the standard library lacks: signals when a parent dies, adoption of orphans, members of a
+process group. Also priorities on a busy computer: first the agents of mills, then servers, then computing processes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ _SET_CHILD_SUBREAPER = 36
 _PUNCH_HOLE = 3  # FALLOC_FL_KEEP_SIZE | FALLOC_FL_PUNCH_HOLE
 _LIBC = ctypes.CDLL(None, use_errno=True)  # looked up here, so that nothing needs loading between a fork and its use
 
-FIRST, BEHIND = -5, 10  # of nice; 0 is what servers have
+FIRST, BEHIND = -5, 10  # nice values; servers have 0
 
 
 def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
-    """Get this signal when the *thread* that started this process ends; end at once if `parent` is gone already."""
+    """Request this signal for when the *thread* that started this process ends; end at once if `parent` has already
+    ended.
+    """
     if _LIBC.prctl(_SET_PDEATHSIG, number, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
     if os.getppid() != parent:
@@ -34,18 +36,18 @@ def adopt_orphans() -> None:
 
 
 def name_process(name: str) -> None:
-    """Set what `ps` and `top` show of it; at most 15 bytes."""
+    """Set the name that `ps` and `top` show; at most 15 bytes."""
     _LIBC.prctl(_SET_NAME, name.encode(), 0, 0, 0)
 
 
 def give_back_blocks(path: Path, start: int, length: int) -> None:
-    """Turn the file's bytes there into zeros that take no place; do nothing where its file system cannot."""
+    """Turn these bytes of the file into a hole that takes no space; do nothing if the file system cannot."""
     with path.open("r+b") as file:
         _LIBC.fallocate(file.fileno(), _PUNCH_HOLE, ctypes.c_long(start), ctypes.c_long(length))
 
 
 def own_children() -> list[int]:
-    """Return the children of this process, dead ones that nobody waited for included."""
+    """Return the children of this process, including dead ones that have not been waited for."""
     found: list[int] = []
     for task in Path("/proc/self/task").iterdir():
         with contextlib.suppress(OSError):  # a thread that has just ended; or a kernel without this list
@@ -54,7 +56,7 @@ def own_children() -> list[int]:
 
 
 def signal_group(leader: int, number: int) -> bool:
-    """Send a signal to every process of a group. False: nobody is left, not even a dead one not yet waited for."""
+    """Send a signal to every process of a group. False: none is left, not even a dead one not yet waited for."""
     try:
         os.killpg(leader, number)
     except ProcessLookupError:
@@ -70,7 +72,7 @@ def signal_stage(leader: int, number: int) -> None:
 
 
 def list_living_members(group: int) -> list[int]:
-    """List processes of a group that still run; a dead one that nobody has waited for does not."""
+    """List the running processes of a group; dead ones that have not been waited for do not count."""
     found = ((pid, _state_and_group(pid)) for pid in _all_processes())
     return [pid for pid, (state, its_group) in found if its_group == group and state not in "ZX"]
 
@@ -98,15 +100,14 @@ def _state_and_group(pid: int) -> tuple[str, int]:
 
 
 def go_first() -> None:
-    """Raise the priority of this thread and all that it starts from now on, where the system permits it.
-
-    It does so to root, with CAP_SYS_NICE, and as far as RLIMIT_NICE goes; elsewhere nothing changes.
+    """Raise the priority of this thread and all that it starts from now on, if the system permits it: for root, with
+    CAP_SYS_NICE, and as far as RLIMIT_NICE allows. Otherwise nothing changes.
     """
     _set_nice(min(FIRST, _read_nice()))
 
 
 def give_way() -> None:
-    """Lower the priority of this thread and all that it starts from now on; one that is further behind stays there."""
+    """Lower the priority of this thread and all that it starts from now on, unless it is already lower."""
     _set_nice(max(BEHIND, _read_nice()))
 
 

@@ -1,5 +1,5 @@
-"""Our own sources: where a child process finds them, as trees of Python, read one at a time, and the state of those
-that a module can run: its own and, along all imports, those it uses.
+"""Our own sources: where a child process finds them, their syntax trees, and a hash of all that a module can run: its
+own source and, along all imports, those it uses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def parse(path: Path) -> ast.Module:
 
 
 def hash_files(paths: Iterable[Path]) -> str:
-    """Return hash of what these files are called and hold, in this order."""
+    """Return a hash of the names and contents of these files, in this order."""
     digest = hashlib.sha256()
     for path in paths:
         digest.update(path.name.encode() + path.read_bytes())
@@ -32,13 +32,14 @@ def hash_files(paths: Iterable[Path]) -> str:
 
 
 def python_path() -> str:
-    """Return PYTHONPATH for a child: this tree, and what was asked for already."""
+    """Return PYTHONPATH for a child: this tree, then the value of the present environment."""
     return os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
 
 
 @cache
 def state_of_sources(module: str, data: tuple[tuple[str, str], ...] = ()) -> str:
-    """Return a hash that changes when the module or anything of ours that it imports, anywhere in it, changes.
+    """Return a hash that changes when the module changes, or one of our modules that it imports, directly or not, even
+    inside a function.
 
     data : (module, file or folder below the root) that this module reads as if it were code
     """
@@ -50,7 +51,7 @@ def state_of_sources(module: str, data: tuple[tuple[str, str], ...] = ()) -> str
 
 
 def modules_used(module: str) -> set[str]:
-    """Return the module and all of ours that it imports, directly or not."""
+    """Return the module and all of our modules that it imports, directly or not."""
     found: set[str] = set()
     waiting = [module]
     while waiting:
@@ -69,7 +70,7 @@ def _imports(module: str) -> tuple[str, ...]:
 
 
 def _list_imported_names(path: Path) -> Iterator[str]:
-    """Yield every name that an import mentions, `from a import b` as a and as a.b, in any function, too."""
+    """Yield every name that an import mentions, also inside functions; `from a import b` gives a and a.b."""
     for node in _list_statements(parse(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -79,7 +80,7 @@ def _list_imported_names(path: Path) -> Iterator[str]:
 
 
 def _list_statements(module: ast.Module) -> Iterator[ast.AST]:
-    """Yield all statements, but no expressions, which cannot import: ten times as many nodes."""
+    """Yield all statements. Expressions cannot import and are skipped: they are ten times as many nodes."""
     waiting: list[ast.AST] = [module]
     while waiting:
         yield (node := waiting.pop())

@@ -1,7 +1,8 @@
-"""Codes for pairing a page, as they are made, printed and typed. Only the standard library: the supervisor makes them.
+"""Codes for pairing a page: makes, prints and reads them. Imports only the standard library, because the supervisor
+uses it.
 
-Twelve characters of Crockford's base 32: sixty random bits. What is typed may be small letters, with any blanks and
-dashes, and with O for 0 and I or L for 1, which the alphabet therefore leaves out.
+Twelve characters of Crockford's base 32: sixty random bits. A typed code may have small letters, blanks, dashes, O for
+0, and I or L for 1; the alphabet has none of these three letters.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ def new_offer() -> str:
 
 
 def code_of(offer: str) -> str:
-    """Return what a person types."""
+    """Return the code of an offer, as a person types it."""
     return offer.rpartition(":")[2]
 
 
 def read_code(typed: str) -> str:
-    """Return what a person has typed, spelled as codes are printed."""
+    """Return a typed code in the spelling of printed codes."""
     return _group(re.sub(r"[\s-]", "", typed).upper().translate(_MEANT))
 
 
@@ -43,7 +44,7 @@ _FINE, _PLAIN = tuple("┌─┐│└┘"), tuple("+-+|++")
 
 
 def code_lines(stream: TextIO, url: str, code: str) -> str:
-    """Return where the page is, and the code for running mills from it. For a terminal only."""
+    """Return lines with the page's address and the code for running mills from it. For a terminal only."""
     rows = (f"Open  {url}  in a browser.", f"Code  {code}   (the page asks for it before it runs a mill)")
     return frame_rows(rows, fine=(stream.encoding or "").lower().replace("-", "") == "utf8")
 
@@ -60,7 +61,7 @@ _SELDOM_S = 5.0  # a page that guesses must not flood the terminal
 
 
 class Offers(Protocol):
-    """The codes that are taken (`database/pairing`)."""
+    """The codes that are valid (`database/pairing`)."""
 
     def is_live(self, offer: str) -> bool: ...
 
@@ -68,11 +69,11 @@ class Offers(Protocol):
 
 
 class CodeOnTerminal:
-    """Prints the code again where a person looks for it, on the terminal that the server runs in.
+    """Prints the code again on the terminal of the server, where a person looks for it.
 
-    Never where stderr is a file or a pipe: what stands there is stored and shipped, and a code opens a mill.
+    Never if stderr is a file or a pipe: these are stored and passed on, and a code gives access to a mill.
 
-    offer: the one whose code was printed at the start. url: of the page. For any thread.
+    offer: that of the code printed at the start. url: of the page. For any thread.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class CodeOnTerminal:
         self._shown_at = float("-inf")
 
     def show(self) -> bool:
-        """Print a code that is taken, a new one where the old one has ended. False: there is no terminal."""
+        """Print a valid code, a new one if the old one has expired. False: there is no terminal."""
         if not (self._offer and self._stream.isatty()):
             return False
         with self._lock:

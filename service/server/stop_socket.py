@@ -1,8 +1,8 @@
 """A WebSocket for stops only: a browser does not count it among its six connections to a server.
 
-The page says who it is first, {"token": "cm_..."} (at the server's own computer "" will do), and then may stop any
-mill: {"id": 1, "machine": "shop-mill", "what": "hold"} is answered {"id": 1, "taken": true, ...}. A beat every few
-seconds shows that the way is open.
+The page first identifies itself, {"token": "cm_..."} (on the server's own computer "" is enough), and may then stop any
+mill: {"id": 1, "machine": "shop-mill", "what": "hold"} is answered {"id": 1, "taken": true, ...}. A heartbeat every few
+seconds shows that the connection works.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class StopSockets:
     async def _serve(self, socket: WebSocket) -> None:
         await socket.accept()
         try:
-            first = _object(await socket.receive_text())  # a stranger's place is kept for a while only
+            first = _object(await socket.receive_text())  # a stranger keeps its place only for a while
             secret = str(first.get("token", ""))
             context = identify_stopper(socket.scope, secret, self._find_stopper, behind_proxy=self._behind_proxy)
             if context is None:
@@ -107,8 +107,10 @@ class StopSockets:
             await socket.send_json({"ready": True})
             while True:
                 asked = _object(await socket.receive_text())
-                pressed = replace(context, arrived_s=suspend_aware_clock_s())  # and not when the socket was opened
-                task = asyncio.create_task(self._stop(socket, pressed, asked))  # none waits for the one before
+                pressed = replace(
+                    context, arrived_s=suspend_aware_clock_s()
+                )  # the time of the press, not of opening the socket
+                task = asyncio.create_task(self._stop(socket, pressed, asked))  # no stop waits for the one before
                 under_way.add(task)
                 task.add_done_callback(under_way.discard)
         finally:
@@ -131,7 +133,7 @@ class StopSockets:
             await socket.send_json(answer)
 
     async def _make_room(self) -> None:
-        """Close the socket that is open longest: its page opens it again."""
+        """Close the socket that has been open longest: its page opens a new one."""
         while len(self.open) >= _MOST:
             oldest = self.open.pop(next(iter(self.open)))
             with contextlib.suppress(RuntimeError):

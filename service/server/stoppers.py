@@ -1,7 +1,7 @@
-"""Which tokens may stop mills: kept in a file beside the database, so that a stop never waits for one.
+"""The tokens that may stop mills, kept in a file beside the database, so that a stop never waits for the database.
 
-The file holds SHA-256 digests of secrets of 256 random bits, which open nothing, and is its account's alone. The API
-writes it; who serves stops reads it.
+The file holds SHA-256 digests of secrets of 256 random bits, which give no access, and only its account can read it.
+The API writes it; the processes that serve stops read it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class Stopper:
 
 
 def hash_secret(secret: str) -> str:
-    """Return the digest by which a secret is known."""
+    """Return the digest by which a secret is looked up."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def read_stoppers(path: Path) -> dict[str, Stopper]:
-    """Return who may stop mills, by the digests of their tokens; nobody if the file cannot be read."""
+    """Return those who may stop mills, by the digests of their tokens; empty if the file cannot be read."""
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
         return {str(digest): Stopper(**row) for digest, row in json.loads(path.read_bytes()).items()}
     return {}
@@ -44,7 +44,7 @@ def write_stoppers(path: Path, stoppers: Mapping[str, Stopper]) -> None:
 
 
 class StopperFile:
-    """The file as it is now, read anew only where it has changed."""
+    """The present contents of the file; it is read again only if it has changed."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -52,7 +52,7 @@ class StopperFile:
         self._stoppers: dict[str, Stopper] = {}
 
     def find(self, secret: str) -> Stopper | None:
-        """Find whose token this is, if it may stop mills."""
+        """Return the owner of this token if it may stop mills."""
         with contextlib.suppress(OSError):
             status = self._path.stat()
             if (seen := (status.st_mtime_ns, status.st_ino)) != self._seen:

@@ -26,7 +26,7 @@ class MissingObjectError(LookupError):
 
 
 class Store(Protocol):
-    """Objects appear whole or not at all; storing an existing object only renews its stored_at."""
+    """Objects appear complete or not at all; storing an existing object only renews its stored_at."""
 
     shared: bool  # may workers on other hosts use it?
 

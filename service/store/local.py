@@ -1,4 +1,4 @@
-"""The artifact store in a folder: objects/ab/<sha256>, each a read-only file that appears whole or not at all.
+"""The artifact store in a folder: objects/ab/<sha256>, each a read-only file that appears complete or not at all.
 
 A file on the store's own file system is *linked* into it: nothing is copied, and its name in the scratch folder stays.
 It is made read-only before it is hashed and refused if it changed meanwhile; the file system refuses to open it for
@@ -6,8 +6,8 @@ writing later (except for root: do not write to stored files). Everything else i
 renamed. Data reaches the disk before the name, and the name before `put_file` returns.
 
 `incoming` holds a file only while its writer holds the file's lock, so the files of a killed writer have a free lock
-and are swept when the next process opens the store. `guard` is shared by writers and held alone by deletion: an
-object that was just renewed is not deleted by a process that looked at it before.
+and are swept when the next process opens the store. Writers share the lock `guard`, and deletion holds it exclusively,
+so that an object that was just renewed is not deleted by a process that looked at it before.
 """
 
 from __future__ import annotations

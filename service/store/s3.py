@@ -34,7 +34,9 @@ _AT_ONCE = 4
 _LINK_LIFE = timedelta(minutes=10)
 _YOUNG_S = 600.0
 _HASH = re.compile(r"[0-9a-f]{64}")
-_NOBODY = re.compile(r"//169\.254\.(169\.254|170\.2)/")  # the computer's own identity was the last try, and failed
+_NOBODY = re.compile(
+    r"//169\.254\.(169\.254|170\.2)/"
+)  # credentials from the computer's own identity were the last try, and failed
 _NOISE = re.compile(r"^Generic \w+ error: | in [\d.]+m?s\b(, after \d+ retries, max_retries.*?retry_timeout: \w+)? ?")
 _RETRY = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
 
@@ -49,7 +51,7 @@ class S3Store:
         self._bucket = _open_bucket(bucket, prefix)
 
     def put_file(self, path: Path) -> StoredObject:
-        """Upload a file unless it is there already. FailedError, one line, where the network or the bucket refuses."""
+        """Upload a file unless it is there already. FailedError, one line, if the network or the bucket refuses."""
         import obstore
 
         try:

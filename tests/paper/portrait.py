@@ -242,7 +242,7 @@ that is in another place counts as lost though the eye still knows it):
 {table}
 
 The lower the contrast, the less the light has to move and the less the picture warps: that is why the lens without
-remeshing looks best out of focus, and why a lens that has all the contrast warps the same whoever computes it.
+remeshing looks best out of focus, and why a lens that has all the contrast warps the same with every method.
 """,
     )
 

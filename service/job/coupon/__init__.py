@@ -1,1 +1,1 @@
-"""The test piece: its programs, the predicted photograph, and what a photograph of it says of mill and finish."""
+"""The test piece: its programs, the predicted photograph, and the evaluation of a photograph for mill and finish."""

@@ -1,5 +1,5 @@
-"""From a photograph and the folder of a test piece to what it says: figures and the files of the fit, or why it says
-nothing; and all sentences, in one table.
+"""Evaluates a photograph of a test piece from the piece's folder: figures and the files of the fit, or the reason why
+the photograph is of no use. All sentences stand in one table.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ HALVES: tuple[Half, Half] = ("left", "right")
 _SURE = 0.5  # of the registration's confidence
 _LEAST_PIXELS_PER_MM, _LEAST_LEVEL = 14.0, 0.015
 _LEAST_RIPPLES = 3
-_AS_MILLED, _WORSE = 2.5, 1.4  # misfit up to which a half is as the programs mill it; how much worse the other fits
+_AS_MILLED, _WORSE = 2.5, 1.4  # largest misfit of a half that is as milled; misfit ratio of the two
 _FAINTER = 0.7
-_NOTHING_LEFT_OFF = 0.9  # of the shortest ripples: such a half was not finished
+_NOTHING_LEFT_OFF = 0.9  # of the shortest ripples: a half that keeps that much was not finished
 _MOST_BLUR_MM = 0.2
 _WALL_OFF = 0.06
 
@@ -111,7 +111,7 @@ class CouponResult:
     notes: tuple[CouponFinding, ...]
 
     def values(self) -> dict[str, Any]:
-        """Return what it means for a job's spec, by dotted key."""
+        """Return the values that follow for a job's spec, by dotted key."""
         return {
             "finish.process": NONE,
             "finish.k0_rad_per_mm": float(f"{self.fit.k0_rad_per_mm:.3g}"),
@@ -151,7 +151,7 @@ class CouponResult:
 
 
 def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponResult:
-    """Fit the photograph; coupon-fit.json, .png and .toml go into the folder. InputError where it says nothing."""
+    """Fit the photograph and write coupon-fit.json, .png and .toml into the folder. InputError if it is of no use."""
     job = require_coupon(folder)
     watch = Stopwatch(reporter)
     with watch.stage("photograph"):
@@ -169,7 +169,7 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
 def fit_photo(
     name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
 ) -> CouponResult:
-    """Return what a photograph says of the test piece in a folder. UselessPhotoError where it says nothing."""
+    """Evaluate a photograph of the test piece in a folder. UselessPhotoError if it is of no use."""
     job = load_stored_job(folder)
     predicted = load_predicted_piece(folder / PROFILES, coupon_of(job))
     return measure_photo(name, shot, predicted, job, on_progress=on_progress)
@@ -177,7 +177,7 @@ def fit_photo(
 
 def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
     """Draw coupon-fit.png."""
-    from service.job.report.figures.photographs import coupon_fit_png  # what it stands on is slow to import
+    from service.job.report.figures.photographs import coupon_fit_png  # its dependencies are slow to import
 
     picture, level = result.placed.picture, result.placed.level
     small = picture.light[: picture.light.shape[0] // 2 * 2, : picture.light.shape[1] // 2 * 2]
@@ -201,7 +201,7 @@ def measure_photo(
     *,
     on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
-    """Return what the photograph says of that test piece. UselessPhotoError where it says nothing."""
+    """Evaluate the photograph of that test piece. UselessPhotoError if it is of no use."""
     on_progress = on_progress or (lambda share: None)
     coupon, template = coupon_of(job), 0
     placed = _place(name, photo, predicted, template, job)
@@ -243,7 +243,7 @@ def _place(name: str, photo: Photo, predicted: PredictedPiece, template: int, jo
 def _choose_finished_half(
     name: str, placed: Placed, predicted: PredictedPiece, job: ResolvedJob
 ) -> tuple[Half, tuple[Fold, ...]]:
-    """Return which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
+    """Return which half was finished; if both could be, the one with much fainter fringes, else the left one."""
     coupon = coupon_of(job)
     folds = fold_all(placed.picture, coupon)
     for half in HALVES:
@@ -263,7 +263,7 @@ def _choose_finished_half(
 
 
 def _nearest_template(fit: FinishFit) -> int:
-    """Return the predicted finish that leaves half of about the same ripple."""
+    """Return the predicted finish that halves a ripple of about the same wavelength."""
     half = fit.k0_rad_per_mm * math.log(2.0) ** (1 / fit.order - 0.5)
     return min(range(len(TEMPLATES_RAD_PER_MM)), key=lambda n: abs(math.log(TEMPLATES_RAD_PER_MM[n] / half)))
 

@@ -1,4 +1,4 @@
-"""A photograph of the test piece's light, laid over the piece."""
+"""Registers a photograph of the test piece's light with the piece."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from service.job.picture.decoding import decode_picture, too_large_for_memory, u
 from service.job.picture.linear_light import ToneReader
 
 PIXELS_PER_MM = 40
-_CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above
-_DARK = 2.0  # mm beyond the piece, from where on nothing but the room's light is expected
+_CLIPPED = 0.94  # of white, in linear light; a camera's response is not linear above
+_DARK = 2.0  # mm beyond the piece, from which on only the room's light is expected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class Photo:
 class Placed:
     """A photograph in its place.
 
-    level         : light that goes straight, in units of the camera's white
+    level         : level of undeflected light, in units of the camera's white
     pixels_per_mm : of the photograph, on the wall
     """
 
@@ -64,7 +64,7 @@ def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
 
 
 def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> Photo:
-    """Read a photograph from a file; PictureError where it cannot be read, which calls it by `name`, by default its
+    """Read a photograph from a file; PictureError if it cannot be read, which calls it by `name`, by default its
     path.
     """
     name = name or str(path)
@@ -83,7 +83,7 @@ def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | N
 
 
 def place_photo(photo: Photo, predicted: Array, *, viewed_from: ViewedFrom) -> Placed:
-    """Return the photograph over the piece. ValueError where it shows no light.
+    """Return the photograph over the piece. ValueError if it shows no light.
 
     predicted (ny, nx) : light of the piece on its screen, work frame
     """

@@ -21,9 +21,9 @@ from service.wording import ball, duration
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
 FIT, FIT_PICTURE, FIT_SNIPPET = COUPON_FIT_FILES
 RADIUS_MM, ROUGH_PITCH_MM, PITCH_MM, LEFT_MM = 1.0, 0.4, 0.06, 0.05
-"""One ball for both passes, so that nothing is changed between them."""
+"""One ball for both passes, so that the tool is not changed between them."""
 
-USUAL_FINISH = "sanding"  # that is predicted where none is named
+USUAL_FINISH = "sanding"  # predicted if none is named
 _FIXED = {"width_mm": WIDTH_MM, "height_mm": HEIGHT_MM}
 _STOCK_MM = 10.0
 
@@ -31,7 +31,7 @@ _STOCK_MM = 10.0
 def coupon_job(
     *, machine: str | None, throw_mm: float | None, file: Path | None, overrides: Sequence[str]
 ) -> ResolvedJob:
-    """Return the job of a test piece: defaults, then the file, then --set. SpecError; InputError where its size is
+    """Return the job of a test piece: defaults, then the file, then --set. SpecError; InputError if its size is
     set.
     """
     for text in overrides:
@@ -61,9 +61,7 @@ def coupon_job(
 
 
 def coupon_of(job: ResolvedJob) -> Coupon:
-    """Make the piece for this mill, wall and material; its ripples are whole steps of the mill high where it has
-    steps.
-    """
+    """Make the piece for this mill, wall and material; its ripples are whole steps high, if the mill has steps."""
     spec, machine = job.spec, job.machine
     digits = POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)
     return Coupon(
@@ -75,7 +73,7 @@ def coupon_of(job: ResolvedJob) -> Coupon:
 
 
 def require_coupon(folder: Path) -> ResolvedJob:
-    """Return the job of the test piece in a folder; InputError where there is none."""
+    """Return the job of the test piece in a folder; InputError if there is none."""
     if not (folder / PROFILES).is_file():
         raise InputError(
             f"--output: {folder} holds no test piece ({PROFILES}); allowed: the folder that "
@@ -139,7 +137,7 @@ def _steps(job: ResolvedJob, report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what the command prints when the programs are written."""
+    """Yield the lines that the command prints when the programs are written."""
     for row in report["passes"]:
         yield (
             f"{', '.join(names_of_pass(row))}: {row['lines']} lines, {row['path_length_mm'] / 1000:.1f} m, "

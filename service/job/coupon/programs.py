@@ -1,5 +1,5 @@
-"""From the spec of a test piece to its folder: programs, checked as a job's are, and the predicted photograph. A server
-keeps one of each machine, made when it is first asked for.
+"""Makes the folder of a test piece from its spec: programs, checked like those of a job, and the predicted photograph.
+A server keeps one for each machine, made at the first request.
 """
 
 from __future__ import annotations
@@ -52,18 +52,18 @@ from service.progress import Reporter, Stopwatch, report_progress
 
 PIXELS_PER_MM = 20
 TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
-"""k0 of finishes, of order 2, for which the light is predicted: a photograph is found by the most similar."""
+"""k0 of finishes of order 2 for which the light is predicted; a photograph is registered with the most similar one."""
 
 CELL_MM, FINE_CELL_MM = 0.02, 0.01
-_BEYOND_MM = 0.9  # of the heights around the piece: all of it lies where the ball has been
-_SEEDS = (2, 1)  # of the mill's errors: for what photographs are compared with, and for the pictures
+_BEYOND_MM = 0.9  # width of the heights around the piece, all within the area of the ball
+_SEEDS = (2, 1)  # of the mill's errors: for the comparison with photographs, and for the pictures
 _ABOVE_MM = 0.03  # of the stock before the finish, over the highest point
 _NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Milled:
-    """What the finishing program leaves: tracks of its ball, and heights (ny, nx) on a grid around the piece."""
+    """The result of the finishing program: tracks of its ball, and heights (ny, nx) on a grid around the piece."""
 
     coupon: Coupon
     passed: PassSpec
@@ -74,7 +74,7 @@ class Milled:
 
 
 def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """Write the folder of a test piece; what report.json holds is returned."""
+    """Write the folder of a test piece; return the contents of report.json."""
     job_files.require_usable_output(output, force=force)
     spec, coupon = job.spec, coupon_of(job)
     with job_files.stage_folder(output) as folder, PictureQueue() as queue:
@@ -85,7 +85,7 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
         job_files.write_bytes(folder / job_files.HEIGHTFIELD, arrays.heightfield_bytes(lens))
         for number in range(1, len(spec.passes) + 1):
             piece.run(f"pass-{number}")
-        so_far.notes.clear()  # on what coarse steps do to a picture: here they are counted in
+        so_far.notes.clear()  # notes on coarse steps and pictures; here the steps are taken into account
         piece.run("check")
         watch = Stopwatch(reporter)
         job_files.write_json(folder / job_files.REPORT, so_far.report)  # names the programs
@@ -105,7 +105,7 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
 
 
 def _write_predictions(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
-    """Write both pictures, and coupon.npz, what photographs are compared with."""
+    """Write both pictures, and coupon.npz for the comparison with photographs."""
     with watch.stage("heights as milled") as on_progress:
         profiles = profiles_of_milled(mill_piece(folder, job, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
         on_progress(0.5)
@@ -130,7 +130,7 @@ def _write_predictions(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedPiece:
-    """What a photograph is compared with.
+    """The prediction with which a photograph is compared.
 
     templates  : light (ny, nx) on the screen behind finishes of TEMPLATES_RAD_PER_MM, by which it is found
     across     : (2, ny) y, and the mean light of the half as milled there, without errors of rows
@@ -142,7 +142,7 @@ class PredictedPiece:
 
 
 def load_predicted_piece(path: Path, coupon: Coupon) -> PredictedPiece:
-    """Load coupon.npz; InputError where it is none."""
+    """Load coupon.npz; InputError if it is none."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
     lights = [f"light_{number}" for number in range(len(TEMPLATES_RAD_PER_MM))]
@@ -163,7 +163,7 @@ def _usual(k0_rad_per_mm: float) -> Transfer:
 
 
 def _halve(light: Array) -> Array:
-    """Return the picture at half as many pixels either way."""
+    """Return the picture at half the resolution."""
     ny, nx = light.shape
     return np.asarray(light.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
 
@@ -250,8 +250,8 @@ def _from_reals(rows: Array) -> Complex:
 def keep_coupon(folder: Path, machine: str) -> Path:
     """Return the machine's test piece in a folder of test pieces, with an archive of it; make it if there is none.
 
-    A newer version of us keeps it: it may have been milled. One made for what the profile said before makes way.
-    SpecError where there is no such machine.
+    A newer version of this program keeps it, because it may have been milled. One made for an older profile is
+    replaced. SpecError if there is no such machine.
     """
     job = coupon_job(machine=machine, throw_mm=None, file=None, overrides=())
     facts = repr((job.spec.plain(), asdict(job.machine), coupon_of(job)))
@@ -268,7 +268,7 @@ def keep_coupon(folder: Path, machine: str) -> Path:
 
 
 def _pack(piece: Path) -> bytes:
-    """Pack all that is needed to mill the piece, and to measure its photograph elsewhere."""
+    """Pack everything needed to mill the piece and to measure its photograph elsewhere."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(piece.iterdir()):

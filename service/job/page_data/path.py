@@ -1,8 +1,8 @@
-"""pass-N.path: a whole pass to draw, from a picture of it at a glance to every move, read by ranges.
+"""pass-N.path: a whole pass for drawing, in levels from an overview to every move, read by byte ranges.
 
-Theory of operation: the full level has a point for every move. Each coarser one is made from the one before it by
-chords, four times as coarse; errors add up to what its tolerance says. The coarsest also leaves out what runs beside
-what is drawn, and is made coarser still until it is small. A short pass has the full level alone.
+Theory of operation: the full level has a point for every move. Each coarser level is made of chords of the one before
+it and is four times as coarse; its errors add up to its tolerance. The coarsest also leaves out tracks beside drawn
+ones, and is coarsened further until it is small. A short pass has only the full level.
 
 A level is written as chunks of points, eight bytes each, and an index of their boxes and times. A chunk's first point
 repeats the last one of the chunk before, and is not drawn to.
@@ -30,10 +30,10 @@ MOST_POINTS = 60_000
 """Of the coarsest level."""
 
 _VERSION = 1
-_GLANCE = 1 / 400  # of the longer side: what cannot be distinguished in a picture of the whole
+_GLANCE = 1 / 400  # of the longer side: not resolved in a picture of the whole
 _RATIO = 4.0
 _STEPS = 3  # levels between the full one and the coarsest
-_THINNED = 1  # of them, counted from the finest: what the coarsest is made from
+_THINNED = 1  # the one of them, counted from the finest, from which the coarsest is made
 _SMALLER = 0.6  # than the level before it, or it is left out
 _EXACT = 0.98  # of a tolerance; the rest is for the raster of the file
 CHUNK_POINTS = 8192
@@ -44,7 +44,7 @@ _PLACES, _TIMES, _TIME_SHIFT = 65535, 16383, 2
 
 
 class PathDrawing:
-    """Takes the moves of a pass as they are read; `write` makes the file. Use it in a `with`."""
+    """Collects the moves of a pass as they are read; `write` makes the file. Use it in a `with`."""
 
     def __init__(self, folder: Path, *, kinematics: Kinematics, side_mm: float) -> None:
         """Begin. folder: for what does not fit into memory; side_mm: the longer one of the lens."""
@@ -98,7 +98,7 @@ class PathDrawing:
             level.add(points)
 
     def _finish(self) -> None:
-        """Pass what the chords still hold from each level to the next."""
+        """Flush the chords of each level into the next."""
         self._full.finish()
         points = Points.none()
         for level, chords in zip(self._levels, self._chords, strict=True):
@@ -126,8 +126,8 @@ class PathDrawing:
         return level
 
     def _thin(self, tolerance_mm: float) -> Level:
-        """Thin out from a level so fine that neighbouring rows still are alike: half of the tolerance for what is left
-        out, the rest for that level's error and for chords.
+        """Thin out a level that is so fine that neighbouring rows are still alike. Half of the tolerance is for the
+        tracks left out, the rest for that level's error and for chords.
         """
         level, finer = self._level(tolerance_mm), self._levels[_THINNED]
         thinner = Thinner(_EXACT * tolerance_mm / 2, self._bounds["all"][:, :2])
@@ -146,7 +146,7 @@ class PathDrawing:
 
 
 def _share(number: int) -> float:
-    """Return the share of a level's tolerance that its own chords may use: the level before has had the rest."""
+    """Return the share of a level's tolerance that its own chords may use; the level before has used the rest."""
     return 1.0 if number == 0 else 1.0 - 1.0 / _RATIO
 
 
@@ -157,7 +157,7 @@ def _as_bounds(corners_mm: Array) -> dict[str, list[float]] | None:
 
 
 def make_header(facts: Mapping[str, Any], levels: list[Level]) -> bytes:
-    """Make the header. Its offsets depend on its length, which grows with their digits: a few rounds settle it."""
+    """Make the header. Its offsets depend on its length, which depends on their digits, so it takes a few rounds."""
     length = 0
     while True:
         line = header_line({**facts, "levels": list(_rows(levels, length))})
@@ -180,7 +180,7 @@ def _rows(levels: list[Level], offset: int) -> Iterator[dict[str, Any]]:
 
 
 class Level:
-    """Chunks go to a file without a name, which is gone when this is closed; only the index is held."""
+    """Chunks go to an unnamed file, which disappears when it is closed; only the index is kept in memory."""
 
     def __init__(self, folder: Path, tolerance_mm: float) -> None:
         self.tolerance_mm = tolerance_mm
@@ -201,7 +201,7 @@ class Level:
             self._write_chunks(Points.joined(self._held), least=CHUNK_POINTS)
 
     def finish(self) -> None:
-        """Write what is held; nothing more is coming."""
+        """Write the remaining points; no more will come."""
         if self._held:
             self._write_chunks(Points.joined(self._held), least=1)
         self._held = []
@@ -211,13 +211,13 @@ class Level:
         return np.concatenate(self._rows) if self._rows else np.empty(0, dtype=INDEX)
 
     def blocks(self, size: int = 1 << 22) -> Iterator[bytes]:
-        """Yield the points as they stand in the file."""
+        """Yield the points as they are in the file."""
         self._file.seek(0)
         while piece := self._file.read(size):
             yield piece
 
     def chunks(self) -> Iterator[Points]:
-        """Yield the points again, as the file has them; none twice."""
+        """Yield the points of the file once more, without repetitions."""
         self._file.seek(0)
         for number, row in enumerate(self.index):
             data = self._file.read(8 * int(row["count"]))
@@ -253,9 +253,7 @@ def encode_chunk(chunk: Points, *, first: int) -> tuple[NDArray[np.void], bytes]
 
 
 def decode_chunk(row: NDArray[np.void], data: NDArray[np.uint16]) -> Points:
-    """Decode the points of a chunk; of its lines only the first and the last are known, the others are spread
-    between.
-    """
+    """Decode the points of a chunk. Only its first and last line numbers are stored; the others are interpolated."""
     low, high, (begin_s, end_s) = (row[name].astype(np.float64) for name in ("low", "high", "time"))
     time_s = begin_s + (data[:, 3] >> _TIME_SHIFT) / _TIMES * (end_s - begin_s)
     line0, line1 = (int(line) for line in row["lines"])
@@ -279,7 +277,7 @@ def _box(chunk: Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def _shares(values: Array, low: NDArray[np.float32], high: NDArray[np.float32], levels: int) -> NDArray[np.uint16]:
-    """Return where values lie between low and high, as whole numbers from 0 to levels."""
+    """Return the positions of values between low and high, as whole numbers from 0 to levels."""
     from_, span = np.float64(low), np.float64(high) - np.float64(low)
     share = (values - from_) * (levels / np.where(span > 0, span, 1.0))
     return np.asarray(np.clip(np.rint(share), 0, levels), dtype=np.uint16)

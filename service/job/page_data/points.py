@@ -1,9 +1,9 @@
-"""Points of a path with the time at which the tool is there, and the same path by fewer of them: by chords within a
-tolerance, and without rows that lie denser than can be seen.
+"""Points of a path with the tool's time at each, and thinning of the path: by chords within a tolerance, and by leaving
+out rows that are too dense to be seen.
 
-Theory of thinning: the path is taken in short stretches, in order. One is drawn unless all of it runs close beside
-earlier ones: those have marked the cells around them with their height. So rows stay evenly apart whichever way they
-run, none is chopped into less than a stretch, and where a path comes back at another depth it is drawn again.
+Theory of thinning: the path is processed in short stretches, in order. A stretch is drawn unless all of it runs close
+beside earlier ones, which have marked the cells around them with their height. So rows are evenly spaced in any
+direction, none is cut into less than a stretch, and a path that returns at another depth is drawn again.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Points:
 
 
 class Chords:
-    """The path by chords from which no point of it is farther away than the tolerance, batch by batch.
+    """The path as chords within the tolerance of all its points, batch by batch.
 
     Ends of rapids and of stops stay. As the points between run from one end of a chord to the other, every place on
     the chord has one of them as near, too.
@@ -90,7 +90,7 @@ class Chords:
         return held[fresh]
 
     def rest(self) -> Points:
-        """Return the last point, where it has not been returned yet."""
+        """Return the last point if it has not been returned yet."""
         waiting, self._waiting = self._waiting, Points.none()
         return waiting[-1:] if len(waiting) > 1 else Points.none()
 
@@ -140,7 +140,7 @@ def widen(corners, mm, kind, without):  # type: ignore[no-untyped-def]
 
 
 class MovePoints:
-    """Takes the batches of a program; gives points as soon as look-ahead knows when the mill is there.
+    """Takes the batches of a program; returns points as soon as the look-ahead has determined their times.
 
     Moves that go nowhere and take no time make none. `time_s`: of the last point given.
     """
@@ -168,7 +168,7 @@ class MovePoints:
         return Points.joined([first, _set_times(held[: len(ends_s)], ends_s)])
 
     def rest(self) -> Points:
-        """Return what was waiting for moves that do not come any more."""
+        """Return the points that were waiting for further moves."""
         waiting, self._waiting = self._waiting, Points.none()
         return _set_times(waiting, self._model.list_waiting_s())
 
@@ -216,7 +216,7 @@ class Thinner:
         _decide(held.mm, held.kind, ends, self._heights, self._corner_mm, self._unit_mm, drawn)
         kept, hidden = np.zeros(len(held), dtype=np.bool_), np.zeros(len(held), dtype=np.uint8)
         kept[1:] = np.repeat(drawn, np.diff(ends, prepend=0))
-        before = ends[:-1][drawn[1:] & ~drawn[:-1]]  # from here on it is drawn again
+        before = ends[:-1][drawn[1:] & ~drawn[:-1]]  # drawing begins again here
         kept[before], hidden[before] = True, HIDDEN
         if first:
             kept[0] = True
@@ -228,7 +228,7 @@ class Thinner:
         return _unseen(held[kept], hidden[kept])
 
     def rest(self) -> Points:
-        """Return where the path ends, at its time."""
+        """Return the end of the path with its time."""
         if self._last is None or not self._left_out:
             return Points.none()
         return _unseen(self._last, np.full(1, HIDDEN, dtype=np.uint8))
@@ -270,7 +270,7 @@ def _samples(mm, k, unit):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _place(mm, k, f, corner, cell):  # type: ignore[no-untyped-def]
-    """Return where the share f of the move to point k ends: x and y in cells from the corner, z."""
+    """Return the place at share f of the move to point k: x and y in cells from the corner, z."""
     x = (mm[k - 1, 0] + f * (mm[k, 0] - mm[k - 1, 0]) - corner[0]) / cell
     y = (mm[k - 1, 1] + f * (mm[k, 1] - mm[k - 1, 1]) - corner[1]) / cell
     return x, y, mm[k - 1, 2] + f * (mm[k, 2] - mm[k - 1, 2])

@@ -1,8 +1,8 @@
 """Surfaces for the page. surface.bin: the heights of a lens on a grid coarse enough to be turned about on a screen.
 
-light*.bin: a surface and its light, so fine that the page finds by itself what the wall shows, wherever it stands. The
-slopes of heights make the picture, and what counts of them are differences: heights are whole numbers of a step so
-small that its rounding moves light by a part of a thousand of a cell, kept as differences down and across. These files
+light*.bin: a surface and its light, fine enough for the page itself to compute the light on a wall at any distance. The
+slopes make the picture, so differences of heights matter: heights are whole numbers of a step so small that its
+rounding moves light by a few thousandths of a cell, and they are stored as differences down and across. These files
 and pass-N.path begin with one line of JSON.
 """
 
@@ -23,9 +23,9 @@ from optics.irradiance import ViewedFrom
 from optics.tubes.edges import polygon_coverage
 
 _CELLS = 512  # along the longer side
-_SHARP_CELLS = 1024  # in light without size, which blurs nothing
+_SHARP_CELLS = 1024  # for light without size, which does not blur
 _COARSER = 4  # cells are a multiple of it along both sides, so that a slow page can do with every fourth node
-_ROUNDING = 2e-3  # of a cell, that a step of the heights moves light on the wall by
+_ROUNDING = 2e-3  # of a cell: distance by which one step of the heights moves light on the wall
 _MOST_LEVELS = 2**30
 _FULL = 255
 _MOST_SAMPLES = 257
@@ -42,9 +42,7 @@ def header_line(facts: Mapping[str, Any]) -> bytes:
 def surface_bytes(
     lens: Heightfield, *, thickness_mm: float, margin_mm: float, outline_mm: Sequence[Sequence[float]] | None
 ) -> bytes:
-    """Return header, then uint16 (ny, nx), row 0 at the lowest y: z = z0 + dz u. Both rims of the aperture are
-    sampled.
-    """
+    """Return header, then uint16 (ny, nx), row 0 at the lowest y: z = z0 + dz u. Both rims are sampled."""
     longer_mm = max(lens.width_mm, lens.height_mm)
     nx, ny = (max(2, round((_MOST_SAMPLES - 1) * side / longer_mm) + 1) for side in (lens.width_mm, lens.height_mm))
     x_mm = np.linspace(lens.x_mm[0], lens.x_mm[-1], nx)
@@ -111,7 +109,7 @@ def _bench_facts(bench: Bench) -> dict[str, Any]:
 
 
 def _weights(bench: Bench, nx: int, ny: int) -> Array | None:
-    """Return (ny, nx) uint8 of what is lens, times the light on it; None where both are the same everywhere."""
+    """Return (ny, nx) uint8: the lens mask times the light on it; None if both are the same everywhere."""
     profile, outline = bench.light.profile, bench.outline_mm
     if profile is None and outline is None:
         return None

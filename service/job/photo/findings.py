@@ -1,4 +1,4 @@
-"""What photographs show, as codes and values; of those of the wall the one table of sentences about them."""
+"""Findings of photographs, as codes and values; and the table of sentences for photographs of the wall."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that a photograph shows. `code` is a key of `sentences`; `values` are what its sentence needs."""
+    """One finding of a photograph. `code` is a key of `sentences`; `values` are the values of its sentence."""
 
     sentences: ClassVar[Mapping[str, Callable[[Values], Phrase]]]
     code: str
@@ -29,7 +29,7 @@ class Finding:
 
 
 class UselessPhotoError(PictureError):
-    """A photograph that shows nothing, and why."""
+    """A photograph of no use, with the reason."""
 
     def __init__(self, name: str, finding: Finding) -> None:
         super().__init__(Phrase("{name}: {sentence}", name=name, sentence=finding.sentence()))
@@ -131,7 +131,7 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
 
 
 class PhotoFinding(Finding):
-    """What a photograph of the wall shows."""
+    """A finding of a photograph of the wall."""
 
     sentences = SENTENCES
 

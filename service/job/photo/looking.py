@@ -1,5 +1,5 @@
-"""Looking at a photograph of the wall: found in it, fitted, judged, and drawn; and what it is compared with: the lens
-of a job, its set-up, and the best picture of the light on its wall that there is in its folder.
+"""Evaluates a photograph of the wall: registers, fits, judges and draws it. It is compared with a job's lens, its
+set-up, and the best picture of the light in its folder.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _LEAST_SEEN = 0.85
 _LEAST_ACROSS_PX = 64.0
 _ODD_TONE = 0.15
 _TURNED_DEG, _LEANT_DEG = 0.3, 0.5
-_SURE, _SURER, _SUREST = 2.0, 3.0, 4.0  # deviations: of a distance, a tilt, one of many errors of the surface
-_CAMERA_PX = 1.2  # pixels of the photograph: its own softness
+_SURE, _SURER, _SUREST = 2.0, 3.0, 4.0  # deviations from zero: of a distance, a tilt, one of many surface errors
+_CAMERA_PX = 1.2  # pixels of the photograph: the camera's own blur
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedLight:
-    """irradiance (ny, nx): work frame, mean about 1; NaN where its file holds no more than "white or brighter"."""
+    """irradiance (ny, nx): work frame, mean about 1; NaN where its file only says "white or brighter"."""
 
     kind: PredictedKind
     lens: Heightfield
@@ -57,12 +57,12 @@ class PredictedLight:
 
     @property
     def bounded(self) -> Array:
-        """The irradiance with the brightest known one in place of what is brighter."""
+        """The irradiance, with the brightest known value in place of brighter ones."""
         return np.nan_to_num(self.irradiance, nan=float(np.nanmax(self.irradiance)))
 
 
 def load_predicted_light(folder: Path) -> PredictedLight:
-    """Load the predicted light of a job that has a lens; InputError where it has none, or another program's files."""
+    """Load the predicted light of a job that has a lens; InputError if it has none, or another program's files."""
     if not folder.is_dir():
         raise InputError(f"--job: {folder} is no folder; allowed: the folder of an earlier design or make")
     spec = load_stored_spec(folder)
@@ -79,9 +79,7 @@ def load_predicted_light(folder: Path) -> PredictedLight:
 
 
 def _picture(path: Path, target: Array) -> Array | None:
-    """Return the irradiance of a picture of ours, whose white is the target's brightest pixel; None where there is
-    none.
-    """
+    """Return the irradiance of one of our pictures, whose white is the target's brightest pixel, or None."""
     try:
         with Image.open(path, formats=("PNG",)) as image:
             levels = np.asarray(image.convert("L"))
@@ -109,8 +107,8 @@ class Look:
     predicted: Array
 
     def png(self, *, with_words: bool = True) -> bytes:
-        """Draw photograph, prediction, difference, and what was found in words."""
-        from service.job.report.figures.photographs import look_png  # what it stands on is slow to import
+        """Draw photograph, prediction, difference, and the findings in words."""
+        from service.job.report.figures.photographs import look_png  # its dependencies are slow to import
 
         sentences = [one.sentence() for one in self.findings] if with_words else []
         return look_png(self.rectified, self.predicted, sentences)
@@ -124,9 +122,9 @@ def look_at(
     picture_width_mm: float | None = None,
     reporter: Reporter | None = None,
 ) -> Look:
-    """Compare a photograph with the prediction. UselessPhotoError, which calls it by `name`, where it shows nothing.
+    """Compare a photograph with the prediction. UselessPhotoError, with the photograph's `name`, if it is of no use.
 
-    picture_width_mm : how wide the lit rectangle is on the wall, where somebody has measured it
+    picture_width_mm : width of the lit rectangle on the wall, if it was measured
     """
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("finding the picture"):
@@ -180,7 +178,7 @@ def _refusal(name: str, code: str, **values: float) -> UselessPhotoError:
 
 
 def _peak(photo: WallPhoto) -> float:
-    """Return how much brighter than the dark the brightest thousandth is, without its noise."""
+    """Return the excess brightness of the brightest thousandth over the dark, without its noise."""
     share = min(1.0, 200 / max(photo.light.shape))
     shape = max(1, round(photo.light.shape[0] * share)), max(1, round(photo.light.shape[1] * share))
     dark, bright = np.quantile(area_average(photo.light, shape), (0.05, 0.999))
@@ -219,11 +217,11 @@ def _distance(predicted: PredictedLight, throw: Estimate) -> PhotoFinding:
 
 
 def _find_tilt(code: str, angles: tuple[Estimate, Estimate], predicted: PredictedLight) -> list[PhotoFinding]:
-    """Return one finding for both directions, where one of them is sure and large enough to act on."""
+    """Return one finding for both directions if one of them is certain and large enough to act on."""
     sure = [one.exceeds(_SURER) and abs(math.degrees(one.value)) > _LEANT_DEG for one in angles]
     if not any(sure):
         return []
-    left = predicted.viewed_from == "lens"  # who looks along the light has +X to the left
+    left = predicted.viewed_from == "lens"  # a viewer who looks along the light has +X on the left
     words = (("left", "right") if left else ("right", "left")), ("top", "bottom")
     sides = [pair[0 if one.value > 0 else 1] for pair, one, counts in zip(words, angles, sure, strict=True) if counts]
     total = math.degrees(math.hypot(*(one.value for one, counts in zip(angles, sure, strict=True) if counts)))
@@ -333,7 +331,7 @@ def _figures(
 def look_at_photo(
     path: Path, job: Path, *, picture_width_mm: float | None = None, reporter: Reporter | None = None
 ) -> Look:
-    """Return the photograph in one file, of the lens of the job in one folder."""
+    """Evaluate the photograph in a file, of the lens of the job in a folder."""
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("reading"):
         photo, predicted = read_wall_photo(path), load_predicted_light(job)

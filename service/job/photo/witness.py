@@ -1,4 +1,4 @@
-"""What a photograph of the witness marks' light says: how far the finish has come, and what is left to do."""
+"""Evaluates a photograph of the witness marks' light: how far the finish has come, and how much work is left."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from service.job.spec.lens_task import finish_of
 from service.job.spec.loading import load_stored_job
 from service.wording import duration
 
-_DONE = 0.06  # of the dose: nearer to the plan no difference is seen
+_DONE = 0.06  # of the dose: closer to the plan than this no difference is visible
 _REFUSALS: dict[Refusal, Phrase] = {
     "no_light": Phrase(
         "the photograph shows no lit strip; allowed: the light of the witness marks alone, everything else "
@@ -34,8 +34,8 @@ _REFUSALS: dict[Refusal, Phrase] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WitnessFinding:
-    """reading: share of the planned dose; minutes: of the plan, None where it has none; worked: minutes so far, where
-    the person says so; psnr_db: of the wall by now, where the report lets it be said.
+    """reading: share of the planned dose; minutes: of the plan, None if it has none; worked: minutes so far, if the
+    person gave them; psnr_db: of the wall by now, if the report allows to say.
     """
 
     reading: DoseReading
@@ -44,7 +44,7 @@ class WitnessFinding:
     psnr_db: float | None
 
     def sentences(self) -> Iterator[Phrase]:
-        """Yield where the finish stands, then what to do."""
+        """Yield the state of the finish, then what to do."""
         dose = self.reading.dose
         yield Phrase(
             "the finish has reached {percent:.0f} % of the plan (+-{error:.0f})",
@@ -72,8 +72,8 @@ class WitnessFinding:
 
 
 def read_witness_photo(photo: Path, job: Path, *, worked_minutes: float | None = None) -> WitnessFinding:
-    """Return what the photograph says of the marks of the job in a folder. InputError where the job has none,
-    PictureError where the photograph says nothing.
+    """Return what the photograph says of the marks of the job in a folder. InputError if the job has none,
+    PictureError if the photograph says nothing.
     """
     report, resolved = read_report(job), load_stored_job(job)
     finish = finish_of(resolved.spec)
@@ -94,8 +94,8 @@ def read_witness_photo(photo: Path, job: Path, *, worked_minutes: float | None =
 
 
 def _wall_at(dose: float, tolerance: Mapping[str, Any]) -> float | None:
-    """Return the likeness of the wall after more work than planned: a loss that grows with the square of the dose's
-    logarithm, through what was simulated; None beyond that.
+    """Return the likeness of the wall after more work than planned: the loss grows with the square of the dose's
+    logarithm and passes through the simulated value; None beyond that.
     """
     if not tolerance:
         return None

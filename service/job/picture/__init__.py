@@ -1,22 +1,22 @@
-"""From a picture file to the light that a lens aims at; here, what a picture may be before it is decoded, and what it
-then was, so that neither arrays nor decoders are imported to say it.
+"""From a picture file to the target light of a lens. This module has the limits of a picture before it is decoded, and
+the facts about it afterwards; it imports neither arrays nor decoders.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF")  # Pillow's names; no other decoder of Pillow is ever tried
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF")  # Pillow's names; its other decoders are never tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureLimits:
-    """What is decoded at all; a server gives its own `max_megapixels`, of service/settings."""
+    """Limits of what is decoded; a server sets its own `max_megapixels` (service/settings)."""
 
     max_pixels: int
 
 
-OWN_PICTURE = PictureLimits(max_pixels=100_000_000)  # of a person at the command line
+OWN_PICTURE = PictureLimits(max_pixels=100_000_000)  # for a person's own picture at the command line
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,11 +1,11 @@
-"""What of a PNG and of a TIFF reaches the decoder: the chunks of a PNG that describe its pixels, and the layouts of
-TIFF that are read. All others are refused by name, before anything is decoded.
+"""Restricts what the decoder gets of PNG and TIFF files: only the chunks of a PNG that describe its pixels, and only
+known layouts of TIFF. Any other layout is refused by name before anything is decoded.
 
-Pillow keeps all text of a PNG in memory and takes a file whose notes are long for damaged. Its colour profile is
-taken out here, too, with a bound of its own. Pillow opens more layouts of TIFF than it reads right: for some it returns
-wrong tones without an error (16 bits with 0 = white, signed bytes, compressed big-endian samples). So a table lists
-the layouts that were compared with another decoder, tifffile (tests/service/job/picture/test_tiff_layouts.py), and
-only those are read.
+Pillow keeps all text of a PNG in memory and considers a file with long notes damaged. The colour profile is also
+extracted here, with its own size limit. Pillow opens more layouts of TIFF than it reads correctly: for some it returns
+wrong tones without an error (16 bits with 0 = white, signed bytes, compressed big-endian samples). So a table lists the
+layouts that were compared with another decoder, tifffile (tests/service/job/picture/test_tiff_layouts.py), and only
+those are read.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from service.errors import PictureError
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _KEPT = {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"eXIf"}
 _PROFILE_BYTES = 16_000_000  # many times a table of three colours; LittleCMS reads it in a limited process
-_NOTE_BYTES = 1_000_000  # of a chunk that is kept whole: no EXIF note of a camera is longer than 64 kB
-_MOST_PARTS = 1000  # each is looked through at each read
+_NOTE_BYTES = 1_000_000  # of a chunk that is read whole: no camera's EXIF note is longer than 64 kB
+_MOST_PARTS = 1000  # each read searches all of them
 _SRGB_CODES = (1, 13, 0, 1)  # primaries, curve, matrix, full range (ITU-T H.273)
 
 
 @dataclass(slots=True)
 class PngChunks:
-    """parts: (offset, bytes) of the file that the decoder reads. profile: ICC, b"" where there is a broken one."""
+    """parts: (offset, bytes) of the file that the decoder reads. profile: ICC, b"" if there is a broken one."""
 
     parts: list[tuple[int, int]] = field(default_factory=list)
     profile: bytes | None = None
@@ -46,7 +46,7 @@ class PngChunks:
 
 
 def find_chunks(file: BinaryIO, name: str) -> PngChunks | None:
-    """Return which parts of a PNG to decode; None for another file. PictureError for colours that are not read.
+    """Return the parts of a PNG to decode; None for another file. PictureError for unsupported colours.
 
     Where the sequence of chunks is broken, the decoder gets the whole rest of the file, and reports the damage.
     """
@@ -97,11 +97,11 @@ def _require_srgb(code: bytes, name: str) -> None:
 
 
 class PartsOfFile(io.RawIOBase):
-    """Some parts of a file, one after the other, as a file to read; nothing is held in memory."""
+    """Parts of a file, joined to a readable file; nothing is kept in memory."""
 
     def __init__(self, file: BinaryIO, parts: list[tuple[int, int]]) -> None:
         self._file = file
-        self._parts: list[tuple[int, int, int]] = []  # where it begins here, and in the file; its length
+        self._parts: list[tuple[int, int, int]] = []  # its start here, its start in the file, its length
         self._size = self._at = 0
         for offset, length in parts:
             self._parts.append((self._size, offset, length))
@@ -132,7 +132,7 @@ class PartsOfFile(io.RawIOBase):
         return 0
 
 
-_BIG_ENDIAN_BIGTIFF = b"MM\0+"  # Pillow takes its head for that of a small TIFF
+_BIG_ENDIAN_BIGTIFF = b"MM\0+"  # Pillow mistakes its head for that of a small TIFF
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _CMYK, _YCBCR = 0, 1, 2, 3, 5, 6
 _UINT, _INT, _FLOAT = 1, 2, 3
 _RAW, _JPEG = 1, 7
@@ -187,7 +187,7 @@ class TiffLayout:
 
     @property
     def white_is_zero(self) -> bool:
-        """Return whether Pillow leaves it to its caller to invert samples in which 0 is white."""
+        """Return whether 0 is white and Pillow leaves inverting the samples to its caller."""
         return self.photometric == _WHITE_IS_ZERO and self.bits > 8
 
     @property
@@ -223,7 +223,7 @@ class TiffLayout:
 
     @property
     def _is_order_read(self) -> bool:
-        """Return whether Pillow puts bits, bytes and planes in their order."""
+        """Return whether Pillow reads this order of bits, bytes and planes."""
         if self.fill_order != 1 and (self.fill_order != 2 or self.bits != 1):
             return False
         if self.separate and self.photometric != _RGB:
@@ -253,7 +253,7 @@ class TiffLayout:
 def require_known_layout(file: BinaryIO, name: str) -> TiffLayout | None:
     """Return the layout of a TIFF that is read, None for a file that is no TIFF; PictureError for all others.
 
-    The file is left at its start. Raises what Pillow raises where the directory is damaged.
+    The file is left at its start. If the directory is damaged, Pillow's own error is raised.
     """
     file.seek(0)
     head = file.read(16)

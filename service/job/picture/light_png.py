@@ -1,4 +1,4 @@
-"""Light on the wall as plain PNG files: whole, small for a list of jobs, or several beside one another.
+"""Light on the wall as plain PNG files: full size, small for a list of jobs, or several side by side.
 
 A picture here is (ny, nx) linear irradiance as the viewer sees it, row 0 at the top. All pictures of one job share one
 exposure: white is the brightest pixel of the target, brighter light is clipped, so that files can be compared by eye.

@@ -1,8 +1,8 @@
 """Pixel values of a decoded picture -> linear-light luminance, clear parts over white; the sRGB curve both ways.
 
-LittleCMS converts stored values to what a viewer shows of them, by the colour profile of the picture. Colour pictures
-go to sRGB in 8 bits, as every viewer does it. Grey ones keep their 16 bits: the profile is asked once for the light of
-a row of greys, through a grey profile of ours with the curve of sRGB.
+LittleCMS converts stored values to displayed ones by the picture's colour profile. Colour pictures are converted to
+sRGB in 8 bits, as in every viewer. Grey ones keep their 16 bits: a row of greys is converted once, to our own grey
+profile with the curve of sRGB.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from service.job.picture.decoding import Colorimetry, DecodedPicture
 Array = npt.NDArray[np.float64]
 
 _GREY_MODES = ("1", "L", "LA", "La", "I")
-_D50 = (0.9642, 1.0, 0.8249)  # ICC.1: what profiles call white
+_D50 = (0.9642, 1.0, 0.8249)  # ICC.1: the white of profiles
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _GAMMAS = (0.1, 10.0)
 _STEPS = 65535.0
@@ -55,7 +55,7 @@ class Conversion:
 
 
 def find_conversion(picture: DecodedPicture) -> Conversion:
-    """Return how this picture's values become sRGB. ProfileError where its profile cannot be used."""
+    """Return how this picture's values become sRGB. ProfileError if its profile cannot be used."""
     if picture.colour is None:
         return Conversion()
     mode = picture.image.mode
@@ -176,10 +176,10 @@ def invert_tones(linear: Array, tone: str) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToneReader:
-    """How the pixels of one decoded picture become light.
+    """Converts the pixels of one decoded picture to light.
 
     white    : the stored value that means white
-    warnings : what the person should know of how they are read; sentences without their subject, the picture
+    warnings : for the person, about how they are read; sentences without their subject, the picture
     """
 
     picture: DecodedPicture
@@ -273,7 +273,7 @@ def _values(image: Image.Image, picture: DecodedPicture) -> npt.NDArray[Any]:
 
 
 def _find_white(picture: DecodedPicture) -> tuple[float, list[Phrase]]:
-    """Return the stored value that means white, and a warning where that is a guess.
+    """Return the stored value that means white, and a warning if that is a guess.
 
     Files of 16 and 32 bits often hold the 8 to 14 bits of a sensor, unspread: white is the least number of bits that
     the brightest value needs.

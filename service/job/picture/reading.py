@@ -1,7 +1,7 @@
-"""Files of pictures as linear light, row 0 on top: the picture in [0, 1] at the job's pixel count; a photograph of the
-wall, small enough to be compared with a prediction; the measured light on the aperture.
+"""Reads picture files as linear light, row 0 on top: the picture in [0, 1] at the job's pixel count; a photograph of
+the wall, reduced for comparison with a prediction; the measured light on the aperture.
 
-Theory of operation: the header alone decides whether the picture is taken at all; then it is decoded, turned by its
+Theory of operation: the header alone decides whether the picture is accepted; then it is decoded, turned by its
 EXIF note, and read strip by strip into linear light, where pixels may be averaged. Resampling keeps averages: each
 target pixel is the mean over the exact area it covers (Catmull-Rom only where the picture must be enlarged).
 """
@@ -28,8 +28,8 @@ Array = npt.NDArray[np.float64]
 _STRIP_PIXELS = 4_000_000
 _BLACK = 1e-7  # far below the first step of 16 bits, above rounding
 _ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
-_PHOTO_PIXELS = 1600  # along the longer side: several for each one that a prediction is compared in
-_CLIPPED_BYTE = 252  # of any channel: what the camera's colours hide, too
+_PHOTO_PIXELS = 1600  # along the longer side: several for each pixel of the comparison
+_CLIPPED_BYTE = 252  # of any channel: from here on it counts as clipped
 _MOST_NODES = 64  # along a side: the light of a lamp is smooth, and a spec stays readable
 
 
@@ -48,9 +48,9 @@ class Reading(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """linear (ny, nx) in [0, 1], row 0 on top; what the file was; what the person should know about it.
+    """linear (ny, nx) in [0, 1], row 0 on top; facts about the file; warnings for the person.
 
-    warnings : sentences without their subject, the picture: its name is for the caller to say
+    warnings : sentences without their subject, the picture: the caller adds its name
     """
 
     linear: Array
@@ -84,7 +84,7 @@ def read_picture(
 
 
 def picture_of(decoded: DecodedPicture, settings: Reading, *, rows: int, aspect: float, name: str) -> Picture:
-    """Make the same of a picture that is decoded already, as often as it is wanted."""
+    """Make the same from a decoded picture; can be called again."""
     width, height = decoded.image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:
@@ -145,7 +145,7 @@ def _describe_enlarged(size: tuple[int, int], to: tuple[int, int]) -> Phrase:
 
 
 def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span]:
-    """Return which part of the picture, in its own pixels, is spread over the screen: columns and rows."""
+    """Return the part of the picture, in its own pixels, that fills the screen: columns and rows."""
     across, down = Span(0.0, float(width)), Span(0.0, float(height))
     too_wide = width > height * aspect
     if fit == "stretch" or width == height * aspect:
@@ -158,8 +158,8 @@ def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span
 def resample_picture(
     tones: ToneReader, shape: tuple[int, int], across: Span, down: Span, *, invert: bool = False
 ) -> Array:
-    """Return (rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a
-    whole.
+    """Return (rows, columns) of linear light, computed strip by strip so that a large picture is never held in floating
+    point as a whole.
     """
     width, height = tones.picture.image.size
     columns, lines = weights_to_resample(width, across, shape[1]), weights_to_resample(height, down, shape[0])
@@ -186,7 +186,7 @@ class WallPhoto:
 def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> WallPhoto:
     """Return the photograph at `path`, upright. PictureError, one line, which calls it by `name`, by default its path.
 
-    Pixels in which one colour alone is clipped count as white: how much light there was is not known.
+    Pixels in which even one colour is clipped count as white, because their light is not known.
     """
     name = name or str(path)
     decoded = decode_picture(path, limits, name)
@@ -206,7 +206,7 @@ def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: st
 
 
 def _mask_clipped(image: Image.Image, shape: tuple[int, int]) -> Array:
-    """Return where most of a pixel of that shape is clipped in some colour."""
+    """Return a mask of the pixels of that size of which most is clipped in some colour."""
     if image.mode not in ("L", "RGB"):
         image = image.convert("RGB")
     bright = None
@@ -232,7 +232,7 @@ def light_rows(path: Path, *, tone: str) -> list[list[float]]:
     ]
     try:
         light = resample_picture(ToneReader.of(decoded, tone=tone), (rows, columns), across, down)
-    except ValueError as error:  # values that are no tones
+    except ValueError as error:  # values that are not tones
         raise unreadable(str(path), error) from None
     light /= covered[1][:, None] * covered[0][None, :]
     if not light.max() > 0:
@@ -241,7 +241,7 @@ def light_rows(path: Path, *, tone: str) -> list[list[float]]:
 
 
 def _points(size: int) -> tuple[int, Span]:
-    """Return how many points stand along an axis of that many pixels, and the span of the boxes around them."""
+    """Return the number of points along an axis of that many pixels, and the spans of the boxes around them."""
     count = min(size, _MOST_NODES)
     half = size / (count - 1) / 2
     return count, Span(-half, size + half)

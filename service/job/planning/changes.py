@@ -1,4 +1,4 @@
-"""Single changes of a job that may show more of its picture; an estimate finds out how much each gains."""
+"""Single changes of a job that may show more of its picture; an estimate computes the gain of each."""
 
 from __future__ import annotations
 

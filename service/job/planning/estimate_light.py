@@ -1,4 +1,4 @@
-"""Predicts for an estimate what the wall will show of a job, as the planner predicts it."""
+"""Predicts, for an estimate, the light of a job on the wall in the same way as the planner."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from service.job.planning.finished_light import Design, FinishedLight
 from service.job.planning.predicted_light import PictureLight
 
 MOST_PIXELS = 512
-"""Along the longer side of the picture that is compared: finer detail changes what one recognises little."""
+"""Pixels along the longer side of the compared picture: finer detail hardly affects recognition."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -28,7 +28,7 @@ _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: outside, no picture or no finish is l
 _FINER_LACKS, _FINER_LACKS_FILM = 0.4, 0.7
 _WORTH_DB = 0.1
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, but longer work still levels visible marks in even areas
-_CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
+_CLOSE_DB = 40.0  # very close to the target: more is not worth hand work
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,8 +132,8 @@ def plan_finish(
 
 
 def share_calibration(calibrated: FinishedPlan, ways: Iterable[tuple[Finishing, FinishedLight]]) -> None:
-    """Apply the corrections of one finish to others of the same process: places that one tool does not reach say
-    nothing about other tools.
+    """Apply the corrections of one finish to others of the same process: places that one tool does not reach give no
+    information about other tools.
     """
     for finishing, light in ways:
         if finishing.process == calibrated.finishing.process and light is not calibrated.light:

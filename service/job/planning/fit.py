@@ -1,6 +1,5 @@
-"""Checks before the first block is written whether the ball fits the lens and the programs fit the disk.
-
-All checks run before the first block is written.
+"""Checks whether the ball fits the lens and the programs fit the disk. All checks run before the first block is
+written.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensFacts:
-    """Balls that the curvature admits; such a ball may still not reach a place where two slopes are close together.
+    """Balls that the curvature allows; such a ball may still not reach a place between two close slopes.
 
     min_concave_radius_mm                  : largest ball that fits everywhere; inf if nothing is concave
     radius_for_99_mm, radius_for_999_mm    : largest ball for 99 % and 99.9 % of the aperture

@@ -1,4 +1,5 @@
-"""Lenses for the planner: for each ball of the shop one designed for it, or one as the ball leaves it, and their light.
+"""Lenses for the planner: for each ball of the shop, the lens designed for it or the given lens as that ball leaves it,
+and their light.
 
 Lenses are designed on a coarser picture; their error is applied to the full picture, whose fine detail is the target's.
 """
@@ -165,7 +166,7 @@ def _solve_first(target: Array, settings: LensSettings) -> OpticalPath:
     """Solve for the picture itself: the lenses for all balls and finishes start from this solution."""
     bench, skim_mm = settings.bench, settings.skim_mm
     wanted = _Wanted.of(target, bench, skim_mm, make=lambda: solve_transport(target, bench, skim_mm=skim_mm))
-    with _solving:  # several threads ask for the same at once
+    with _solving:  # several threads may ask for the same at once
         return _solve_once(wanted)
 
 

@@ -41,7 +41,7 @@ class Planned:
         return self.plan.chosen
 
     def picture(self, candidate: Candidate) -> Array:
-        """Return the predicted light (ny, nx) on the screen of one of the plan's front, work frame."""
+        """Return the predicted light (ny, nx) on the screen of a candidate of the plan's front, work frame."""
         return self._pictures[self.plan.front.index(candidate)]
 
     @cached_property
@@ -53,7 +53,7 @@ class Planned:
         return tuple(map(self.light.score, self._pictures))
 
     def score(self, candidate: Candidate) -> CausticScore:
-        """Return PSNR, SSIM and the rest of the predicted light of one of the plan's front."""
+        """Return PSNR, SSIM and the other scores of the predicted light of a candidate of the plan's front."""
         return self._scores[self.plan.front.index(candidate)]
 
     def foreseen_blur_mm(self, candidate: Candidate | None = None) -> list[float]:

@@ -71,7 +71,7 @@ class PictureLight:
     """
 
     contact_share: float | None = None
-    """Of the lens, that a tool of a finish touches; None without a finish."""
+    """Share of the lens that the tool of a finish touches; None without a finish."""
 
     def __init__(
         self,
@@ -101,11 +101,11 @@ class PictureLight:
 
     @property
     def fillings(self) -> dict[float, Filled]:
-        """By radius, of balls that leave valleys filled."""
+        """By radius: what balls leave filled in valleys."""
         return {radius: shown.valleys.filled for radius, shown in self.lenses.items() if shown.valleys is not None}
 
     def add(self, radius_mm: float, form: LensForm, missed: Array, *, valleys: Valleys | None = None) -> None:
-        """Add a lens for a ball; missed: its light less the picture that it aims at, at any size."""
+        """Add a lens for a ball; missed: its light minus the picture that it aims at, at any size."""
         error = resize(missed, self.target.shape)
         self.lenses[radius_mm] = Shown(
             form=form,
@@ -142,8 +142,8 @@ class PictureLight:
     def reach_mm(self, form: LensForm) -> float:
         """Return how far a slope error deflects light on the screen, per unit of slope.
 
-        A slope s sends light aside by (n - 1)(s + c s^3) of the way, to third order; its change by 1 + 2 c s^2 times as
-        much, the mean of along it and across it.
+        A slope s deflects light by (n - 1)(s + c s^3) of the distance, to third order; a small change of it has 1 + 2 c
+        s^2 times the effect, in the mean of along it and across it.
         """
         if form not in self._reaches_mm:
             self._reaches_mm[form] = self._reach_of_mm(form)
@@ -160,7 +160,7 @@ class PictureLight:
         return self.reach_mm(form) * sqrt(slopes.across.rms**2 + slopes.along.rms**2)
 
     def psnr_db(self, marks: Marks) -> float:
-        """Estimate the PSNR, ignoring the floor of darkness and places where darkness at edges matters more."""
+        """Estimate the PSNR, ignoring that light cannot be negative and the places where dark edges matter more."""
         error = self._error_by_contours(marks) if marks.spec.strategy == "contour" else self._error_by_rows(marks)
         return self.db_of_error(error + self.grain(marks) ** 2 * self._square)
 
@@ -168,7 +168,7 @@ class PictureLight:
         return self.psnr_of(self.smooth_picture(marks), self.grain(marks))
 
     def unsharpened_db(self, marks: Marks) -> float:
-        """Return the same for a lens that aims at the picture itself."""
+        """Return the PSNR of a lens that aims at the picture itself."""
         return self.psnr_of(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
     def settle(self, several: Iterable[Marks]) -> None:

@@ -1,4 +1,4 @@
-"""The target of a lens: the picture as it is, or prepared for what will show on the wall (`image.prepare`)."""
+"""The target of a lens: the picture as it is, or prepared for the detail that the wall can show (`image.prepare`)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from service.job.spec.lens_task import bench_of, branch_of, source_spread_mm
 from service.job.spec.model import JobSpec
 
 _TILT_RAD = 0.02
-"""Width of what marks of a tool and a finish tilt the surface by, seen on finished lenses of usual mills: it bends
-light by half of that in acrylic, so that a wall at 100 mm shows details from 1 mm."""
+"""Width of the distribution of surface tilts from tool marks and a finish, seen on finished lenses of usual mills. In
+acrylic light is deflected by half of it, so that a wall at 100 mm shows details from 1 mm.
+"""
 
 _LEAST_PX = 2.0
-"""No smaller detail exists in a picture."""
+"""Pixels of the smallest detail in a picture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,7 +68,7 @@ def aim_at_picture(spec: JobSpec, linear: Array) -> AimedPicture:
 def detail_to_prepare_for_mm(spec: JobSpec, *, columns: int) -> float:
     """Return the smallest detail on the screen for which a picture of that many pixels across is prepared.
 
-    The person's value; otherwise the blur of usual marks and of the source, at least two pixels.
+    It is the person's value, or else the blur of usual marks and of the source, at least two pixels.
     """
     if spec.image.prepare_detail_mm is not None:
         return spec.image.prepare_detail_mm

@@ -27,10 +27,10 @@ from optics.heightfield import Array, Heightfield
 from phrases.phrase import Phrase
 
 LEAST_TOOL_MM = 3.0
-"""A narrower tool cannot work evenly by hand."""
+"""Least size of a tool: a smaller one cannot be moved evenly by hand."""
 
 _SEEN_MM = 0.1  # least width of a rim that shows
-_ALIKE = 0.9  # size over that of the usual tool; nobody measures more exactly
+_ALIKE = 0.9  # size relative to the usual tool; sizes are not known more exactly
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ class RimRoom:
 
     @property
     def is_reached(self) -> bool:
-        """Whether a tool that a hand can hold reaches the rims."""
+        """Whether a hand-held tool reaches the rims."""
         return self.largest_mm >= min(self.pad_mm, LEAST_TOOL_MM)
 
     @property
@@ -63,8 +63,8 @@ class RimRoom:
 
     @property
     def band_mm(self) -> float:
-        """Width of the band along the rims, inside them, that the usual tool does not do: it covers a place with all of
-        its width only where the wall is as far away.
+        """Width of the band inside the rims that the usual tool does not finish: it passes over a place with its full
+        width only if the wall is at least that far away.
         """
         return max(0.0, self.pad_mm - self.wall_mm)
 
@@ -102,7 +102,7 @@ def measure_rim_room(
 
 
 def weigh_removal(lens: Heightfield, finish: Finish, density_g_per_cm3: float) -> float:
-    """Return the mass that a tool takes off a lens and off its surroundings as far as the finish goes [g]."""
+    """Return the mass that a tool takes off the lens and its surroundings, as far as the finish goes [g]."""
     assert finish.depth_mm is not None
     width_mm, height_mm = lens.width_mm + 2 * finish.reach_mm, lens.height_mm + 2 * finish.reach_mm
     return finish.depth_mm * width_mm * height_mm * density_g_per_cm3 / 1000
@@ -117,7 +117,7 @@ def _wall_mm(spec: PassSpec, depths_mm: Array) -> Array:
 
 
 def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
-    """Warn if no tool that a hand can hold reaches the rims, and say how to make room."""
+    """Warn if no hand-held tool reaches the rims, and say how to make room."""
     if room is None or room.is_reached:
         return None
     radius_mm = math.ceil(10.0 * max(room.beyond_mm, (room.beyond_mm + LEAST_TOOL_MM / 2) / 2)) / 10.0

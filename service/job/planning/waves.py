@@ -1,6 +1,4 @@
-"""How much of a picture milling leaves, wave by wave of its cosine transform: rows blur in one direction, contours in
-all.
-"""
+"""How much milling leaves of each wave of a picture's cosine transform: rows blur in one direction, contours in all."""
 
 from __future__ import annotations
 
@@ -58,8 +56,9 @@ class Waves:
         return np.outer(*left)
 
     def kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
-        """Return what is left of each wave, and of its square: rows run along the contour lines, so across them is the
-        gradient's direction, which all places share out, and along them a quarter of a turn from it.
+        """Return what is left of each wave, and of its square: rows run along the contour lines, so the direction
+        across them is that of the gradient, which is distributed over all places, and the direction along them is a
+        quarter of a turn from it.
         """
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
         across, along = (spread.transfer(waves, reach_mm) for spread in (slopes.across, slopes.along))
@@ -70,7 +69,9 @@ class Waves:
 
 @lru_cache(maxsize=32)
 def _share_by_turn(form: LensForm) -> Array:
-    """Return (n, 3) cosine and sine of n directions in half a turn, and the share of places whose gradient has it."""
+    """Return (n, 3) cosine and sine of n directions in half a turn, and the share of places with that gradient
+    direction.
+    """
     turns = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
     share = np.histogram(np.mod(form.turns_rad, np.pi), _DIRECTIONS, range=(0.0, np.pi))[0] / form.turns_rad.size
     return np.column_stack([np.cos(turns), np.sin(turns), share])

@@ -1,5 +1,5 @@
-"""The block on the mill: how it is held, by clamps on the ring that no cutter reaches or without any, and the two line
-drawings of the setup sheet as inline SVG, from above and from the side.
+"""The block on the mill: how it is held (by clamps on the ring that no cutter reaches, or without clamps), and the two
+line drawings of the setup sheet as inline SVG, from above and from the side.
 
 Only numbers and our own words go into the drawings, so they are safe to place in the page as they are. Each is one
 phrase, so that another language can say its words. `setup_pdf` draws the same elements.
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from phrases.phrase import Phrase, join
 from service.wording import number
 
-CLAMP_MM = 8.0  # that a clamp needs to stand on
+CLAMP_MM = 8.0  # width that a clamp needs
 CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
-_UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
+_UNDER_RAPIDS_MM = 1.0  # distance of objects on the bed below the rapid moves
 _BESIDE_WITNESS_MM = 8.0  # a ball of 6 mm and its shank
 _JAWS_MM = 5.0  # of the block that a vice needs
 
@@ -48,11 +48,11 @@ class BlockSizes:
 
     @property
     def ring_mm(self) -> float:
-        """Width of the block's top that no cutter touches, at its narrowest; None of it: below 0."""
+        """Least width of the block's top that no cutter touches; below 0 if there is none."""
         return self.margin_mm if self.swept_mm is None else self.ring_beside_mm(self.swept_mm)
 
     def ring_beside_mm(self, swept_mm: tuple[float, float, float, float]) -> float:
-        """Return the same beside what only some programs go over."""
+        """Return the same width beside an area that only some programs cover."""
         left, right, front, back = swept_mm
         return self.margin_mm - max(-left, right - self.width_mm, -front, back - self.height_mm)
 
@@ -64,7 +64,7 @@ class BlockSizes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Holding:
-    """What the setup sheet says of it.
+    """The setup sheet's part on holding the block.
 
     sentences        : for the list under the drawing
     clearance_mm     : how far above the stock top the holder stays at the deepest cut
@@ -79,10 +79,10 @@ class Holding:
 def plan_holding(
     block: BlockSizes | None, lows: Sequence[tuple[float, float]], rapid_z_mm: float | None, *, faced: bool = False
 ) -> Holding:
-    """Plan it from the ring that programs leave.
+    """Plan the holding from the ring that programs leave.
 
     lows       : of each program, (ring that it leaves, lowest Z) [mm]
-    rapid_z_mm : at which rapid moves cross; None where that is not known
+    rapid_z_mm : at which rapid moves cross; None if that is not known
     faced      : the whole top is milled, from beside the block
     """
     under_rapids_mm = CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM
@@ -203,7 +203,7 @@ def top_view(block: BlockSizes) -> Phrase:
 
 
 def _hatch_for_clamps(block: BlockSizes, left: float, top: float, w: float, h: float) -> list[str]:
-    """Hatch where clamps may stand, or say that they may not; what cutters sweep is drawn over it."""
+    """Hatch where clamps may stand, or say that none may; the area that cutters sweep is drawn over it."""
     if block.swept_mm is None:
         return []
     if not block.has_room_for_clamps:
@@ -217,7 +217,7 @@ def _hatch_for_clamps(block: BlockSizes, left: float, top: float, w: float, h: f
 
 
 def _swept(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """Draw what the cutter's flanks go over, where a ring is left around it."""
+    """Draw the area that the cutter's flanks sweep, if a ring is left around it."""
     if block.swept_mm is None or block.ring_mm <= 0:
         return []
     left, right, front, back = block.swept_mm
@@ -258,7 +258,7 @@ def _lens(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list
 
 
 def _lens_size(block: BlockSizes, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
-    """Return the lens's size: in its middle where that is clear of the axes, else beside the block."""
+    """Label the lens's size: in its middle if that is clear of the axes, else beside the block."""
     words = f"{block.width_mm:g} × {block.height_mm:g} mm"
     if min(w, h) - 2 * m > _ROOM_FOR_WORDS:
         x, y, anchor = left + w / 2, top + h / 2, "middle"

@@ -1,5 +1,5 @@
-"""What the setup sheet says of finishing by hand, made from report.json alone: the work, how exactly it has to be hit,
-and the witness marks: where they are, how to look at them, which is gone when.
+"""The setup sheet's part on finishing by hand, made from report.json alone: the work, its tolerance, and the witness
+marks: where they are, how to look at them, and when each disappears.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ _STOP = 1.0
 
 
 def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return title, rows (what, figure), warnings and the sentences of the process and on the rims; None where a job
-    has no finish.
+    """Return title, rows (what, figure), warnings, and the sentences on the process and on the rims; None if a job has
+    no finish.
 
     report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it),
              `finish_tolerance`, `witness`, `rim_room`
@@ -140,7 +140,8 @@ def _mm(length_mm: float) -> str:
 
 
 def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
-    """Yield the minutes first, then what too little and too much show, then the tool; nothing where it is not known.
+    """Yield the minutes first, then the result of too little and too much work, then the tool; nothing if the tolerance
+    is not known.
 
     report : of it the parts `finish_tolerance` and `finishing`
     """
@@ -188,7 +189,8 @@ def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
 
 
 def _describe_witness(report: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return rows (when, what is to be seen) and sentences; None for a job without marks and without a reason.
+    """Return rows (when, what can be seen) and sentences; None for a job that has neither marks nor a reason for their
+    absence.
 
     report : of it the parts `witness` and `finishing`
     """

@@ -1,4 +1,4 @@
-"""What the setup sheet says of the picture as milled, in sentences."""
+"""The setup sheet's sentences on the picture as milled."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ CAUSES = {
     "rounding": (Phrase("the decimals of the program"), Phrase("a dialect with more of them helps")),
 }
 _WORTH_DB = 0.3
-UNSEEN_DB = 40.0  # of what blur does to a picture that has no finer detail than that
-_MOST_OF_IT = 0.7  # of what milling costs, from which one cause explains it
+UNSEEN_DB = 40.0  # loss by blur of a picture without finer detail: not visible above this
+_MOST_OF_IT = 0.7  # share of the loss by milling from which a single cause explains it
 
 
 def sentences_as_milled(milled: Mapping[str, Any]) -> list[Phrase]:
-    """Return sentences from report `as_milled`; nothing where there is none."""
+    """Return sentences from report `as_milled`; empty if there is none."""
     if milled.get("psnr_db") is None:
         return []
     return [_describe_expectation(milled), *_main_cause(milled), _blur(milled)]
 
 
 def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
-    """Return what costs most. Marks hide each other: where one is taken away the others stay, so that what each alone
-    would bring does not add up to what all of them cost.
+    """Return the cause that costs most. Marks hide each other: without one the others remain, so the single gains do
+    not add up to the total loss.
     """
     gains = sorted((milled.get("gain_db_without") or {}).items(), key=lambda row: -row[1])
     if not gains or gains[0][1] < _WORTH_DB:
@@ -77,7 +77,7 @@ def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
 
 
 def explain_flaws(finished: Mapping[str, Any]) -> Iterator[Phrase]:
-    """Yield what of the block costs much behind a finish, which takes the marks of milling off; from report
+    """Yield the flaws of the block that cost much after a finish, which removes the marks of milling; from report
     `as_finished`.
     """
     for name, gain_db in (finished.get("gain_db_without") or {}).items():
@@ -87,7 +87,7 @@ def explain_flaws(finished: Mapping[str, Any]) -> Iterator[Phrase]:
 
 
 def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase | None:
-    """Return a warning where the milled surface blurs more than a pixel, of a picture with detail so fine.
+    """Return a warning if the milled surface blurs by more than a pixel and the picture has detail that fine.
 
     planned : the planner chose the passes, for a goal
     """

@@ -1,4 +1,4 @@
-"""What the setup sheet says of the lens as an optical part: scores, figures of the surface, light and screen."""
+"""The setup sheet's part on the lens as an optical part: scores, figures of the surface, light and screen."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from service.job.files import table
 from service.job.spec.light import describe_light, name_spectrum
 from service.wording import ball, describe_misplaced, number, psnr_in_words
 
-_SEEN_GAIN_DB = 0.5  # less is not worth a word
+_SEEN_GAIN_DB = 0.5  # less is not mentioned
 _STRAIGHT_MM = 0.005
 _BLACK_WORTH_A_WORD = 0.002
 
@@ -50,7 +50,7 @@ def score_rows(report: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
 
 
 def _rows_of_colours(optics: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
-    """Return what light the scores hold under; nothing where a report of old does not say it."""
+    """Return the light for which the scores hold; nothing for an old report that does not state it."""
     light = table(optics.get("light"))
     if not light:
         return []
@@ -85,7 +85,7 @@ def _leak_in_words(scores: Mapping[str, Any]) -> Phrase:
 
 
 def lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
-    """Return (what, figure) of the surface and how it came about."""
+    """Return (what, figure) rows on the surface and its design."""
     optics, wanted = table(report.get("optics")), table(spec.get("optics"))
     rows = [*_surface_rows(optics), *_rows_of_closing(table(optics.get("closing"))), *_polish_rows(optics)]
     if wanted.get("surface") == "mirror":
@@ -157,7 +157,7 @@ def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
 
 
 def sentences_of_preparation(report: Mapping[str, Any]) -> list[Phrase]:
-    """Return what was done to the picture, for the setup sheet; empty where it was to stay as it is."""
+    """Return sentences on the picture's preparation for the setup sheet; empty if it was left as it is."""
     image = table(report.get("image"))
     if image.get("prepare") != "detail":
         return []
@@ -207,7 +207,7 @@ def _scores_in_words(report: Mapping[str, Any]) -> list[Phrase]:
 
 
 def light_sentences(spec: Mapping[str, Any]) -> list[Phrase]:
-    """Return what the light must be like, for the person who sets up the lamp."""
+    """Return sentences on the required light, for the person who sets up the lamp."""
     optics = table(spec.get("optics"))
     light = table(optics.get("light"))
     is_mirror = optics.get("surface") == "mirror"
@@ -250,7 +250,7 @@ def screen_sentence(spec: Mapping[str, Any]) -> Phrase | None:
 
 
 def tolerance_sentences(tolerances: Mapping[str, Any], *, throw_mm: float) -> list[Phrase]:
-    """Return sentences on distance, tilt and size of the source; empty where nothing was simulated."""
+    """Return sentences on distance, tilt and size of the source; empty if nothing was simulated."""
     if not tolerances:
         return []
     return [_distance(tolerances, throw_mm), *_index(tolerances), _tilt(tolerances), *_source(tolerances)]
@@ -271,7 +271,7 @@ def _distance(found: Mapping[str, Any], throw_mm: float) -> Phrase:
 
 
 def _index(found: Mapping[str, Any]) -> list[Phrase]:
-    """Return by how much the wall must move for a block of another index; nothing where that costs nothing."""
+    """Return how far the wall must move for a block of another index; nothing if that has no effect."""
     point = table(found.get("index"))
     if not point or (gain_db := point["psnr_db_moved"] - point["psnr_db"]) < _NOTHING_DB:
         return []

@@ -44,7 +44,7 @@ def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list
 
 
 def explain_zero_before_facing(spec: Mapping[str, Any]) -> Phrase | None:
-    """Return how Z0 is found while the raw top still stands above it; None where nothing is faced."""
+    """Return how Z0 is found while the raw top still stands above it; None if nothing is faced."""
     above_mm = table(table(spec.get("stock")).get("face")).get("above_mm")
     if above_mm is None:
         return None

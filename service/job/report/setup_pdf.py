@@ -1,9 +1,9 @@
-"""setup-sheet.pdf: one page of A4 that stands beside the mill, with what the setup sheet says to its operator.
+"""setup-sheet.pdf: one page of A4 for use beside the mill, with the setup sheet's instructions to its operator.
 
-Theory of operation: what it says comes from `describe_setup`, and sentences are those of the HTML page. They run down
-two columns, the largest type that fits; before it gets small, the view from the side goes. There is no date and no
-figure of the computer on it, so that the same job gives the same bytes. It is English alone:
-another costs half a second of computing, for its fonts, which have no Japanese.
+Theory of operation: its contents come from `describe_setup`, and its sentences are those of the HTML page. They run
+down two columns in the largest type that fits; before the type gets too small, the side view is left out. There is no
+date and no figure of the computer on it, so that the same job gives the same bytes. It is in English only: another
+language would cost half a second of computing, and the fonts have no Japanese.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SHOWN = {
     "finish-tolerance.png": 3, "caustic-as-finished.png": 1, "caustic-as-milled.png": 1, "caustic.png": 1,
     "target.png": 1,
 }  # fmt: skip
-"""What the wall will show: the first that there is, and how many pictures it has beside one another."""
+"""Pictures of the wall in order of preference, and the number of pictures side by side in each."""
 
 _EDGE, _GAP = 34.0, 16.0
 _COLUMN = (WIDTH - 2 * _EDGE - _GAP) / 2
@@ -131,7 +131,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def _draw_columns(paper: Paper, setup: Mapping[str, Any], top: float) -> None:
-    """Draw the block and, below and beside it, all that is to be read."""
+    """Draw the block and, below and beside it, all text."""
     for views, size, most in _tries(setup):
         below = top + sum(map(_height, views))
         lines = list(_lines(setup, size, most))
@@ -146,7 +146,7 @@ def _draw_columns(paper: Paper, setup: Mapping[str, Any], top: float) -> None:
 
 
 def _tries(setup: Mapping[str, Any]) -> Iterator[tuple[list[str], float, int]]:
-    """Yield (views, size of the type, how many warnings), from what is best to what takes least room."""
+    """Yield (views, size of the type, number of warnings), from the best layout to the most compact."""
     views, count = [str(setup[name]) for name in ("top_view", "side_view") if setup[name]], len(_warnings(setup))
     yield from ((views, size, count) for size in _sizes(_LARGE, _SMALL))
     yield from ((views[:1], size, count) for size in _sizes(_LARGE, _SMALL))
@@ -159,7 +159,7 @@ def _sizes(largest: float, smallest: float) -> list[float]:
 
 
 def _fill(lines: Sequence[_Line], room: int) -> int:
-    """Return how many lines the first column takes: no title is its last one."""
+    """Return the number of lines in the first column, which never ends with a title."""
     split = min(room, len(lines))
     while 0 < split < len(lines) and lines[split - 1].is_title:
         split -= 1
@@ -189,7 +189,7 @@ def _write(paper: Paper, lines: Sequence[_Line], x: float, top: float, size: flo
 
 
 def _lines(setup: Mapping[str, Any], size: float, most: int) -> Iterator[_Line]:
-    """Yield everything to be read, in lines."""
+    """Yield all text in lines."""
     for title, mark, items in _sections(setup, most):
         is_loud = mark == "!"
         if items:
@@ -214,7 +214,9 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
 
 
 def _finish_sentences(setup: Mapping[str, Any]) -> list[str]:
-    """Return what is read at work: the tolerance of the finish, the tool at the rims, how to read the witness marks."""
+    """Return the sentences for the work: the tolerance of the finish, the tool at the rims, how to read the witness
+    marks.
+    """
     card = setup["finishing"] or {}
     witness = card.get("witness") or {"rows": [], "sentences": []}
     rows = [f"{when}: {what}" for when, what in witness["rows"]]
@@ -222,7 +224,7 @@ def _finish_sentences(setup: Mapping[str, Any]) -> list[str]:
 
 
 def _warnings(setup: Mapping[str, Any]) -> list[str]:
-    """Return those that matter at the mill: not what was said of picture and lens."""
+    """Return the warnings that matter at the mill, without those about picture and lens."""
     of_lens = table(setup["report"].get("warnings_by_part")).get("optics") or ()
     return [one for one in setup["warnings"] if one not in of_lens]
 

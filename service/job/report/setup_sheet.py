@@ -1,8 +1,8 @@
 """report.html: the setup sheet a person takes to the mill, from report.json, spec.json and the names of the files; its
 words stand in templates/report.html.
 
-Everything that may be missing may be missing: after `design` there are no passes, and then the page says so. The page
-has no scripts and loads nothing but the pictures beside it.
+Optional parts may be missing: after `design` there are no passes, and the page says so. The page has no scripts and
+only loads the pictures beside it.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ from service.wording import cutter, duration, number, shape_of, size, whole
 
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
 _PLACES_SHOWN = 6
-_COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
+_COARSE_PIXELS = 256  # up to this size a picture is shown with sharp pixels, not interpolated
 
 LANGUAGES = tuple(sorted(path.stem for path in FOLDER.glob("languages/*.json")))
-"""Beside English: those of the operator page."""
+"""Languages in addition to English: those of the operator page."""
 
 _AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
 
@@ -68,7 +68,7 @@ def render_block(name: str, setup: Mapping[str, Any]) -> str:
 
 
 def in_language(setup: Mapping[str, Any], language: str) -> dict[str, Any]:
-    """Return what `describe_setup` returns as another language says it, and the function `t` that says templates."""
+    """Return the result of `describe_setup` in another language, and the function `t` that translates templates."""
     words = {} if language == "en" else _read_table(language)
 
     def t(template: str, **values: object) -> Markup:
@@ -90,7 +90,7 @@ def describe_setup(
     spec: Mapping[str, Any] | None = None,
     files: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Return what the sheet says, by the names in its template.
+    """Return the contents of the sheet, by the names in its template.
 
     report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
     """
@@ -145,19 +145,19 @@ def describe_setup(
 
 
 def _list_walls(files: Collection[str]) -> list[dict[str, Any]]:
-    """Return the pictures of the wall that are there: the target, then what will be seen, the ideal last."""
+    """Return the existing pictures of the wall: the target, then what will be seen, the ideal last."""
     found = [asdict(one) for one in PICTURES if one.name in files and one.shown == "wall"]
     return [*found[:1], *reversed(found[1:])]
 
 
 def _describe_block(material: Any) -> str:
-    """Say what the block is made of, as one buys it; of a material that is not known any more its name."""
+    """Describe the block's material as it is sold; if the material is no longer known, return its name."""
     name = str(material or "")
     return MATERIALS[name].block if name in MATERIALS else name
 
 
 def _job_name(report: Mapping[str, Any]) -> str:
-    """Return the name as the operator page says it: without the kind of file."""
+    """Return the name as on the operator page: without the file extension."""
     return PurePath(str(table(report.get("source")).get("file") or "")).stem
 
 
@@ -183,7 +183,7 @@ def _lows(programs: Sequence[Mapping[str, Any]], block: BlockSizes | None) -> li
 def _block_of(
     report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]
 ) -> BlockSizes | None:
-    """Return the sizes to draw; None where the spec does not give them."""
+    """Return the sizes to draw; None if the spec does not give them."""
     optics, stock = table(spec.get("optics")), table(spec.get("stock"))
     relief_mm = table(report.get("optics")).get("relief_mm")
     try:
@@ -226,8 +226,8 @@ def _box(sides: Any) -> tuple[float, float, float, float] | None:
 
 
 def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, float] | None:
-    """Return left, right, front and back of what the balls of all programs go over, their radius included; the strip
-    of witness marks by itself is not among it.
+    """Return left, right, front and back of the area that the balls of all programs cover, including their radius, but
+    without the strip of witness marks.
     """
     sides = []
     for row in passes:
@@ -245,7 +245,7 @@ def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, fl
 
 
 def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of the programs that are made, with what follows for the tool."""
+    """Return the rows of the existing programs, with the consequences for the tool."""
     rows = [row for row in list_programs(spec, report) if row["is_made"]]
     for row in rows:
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
@@ -256,7 +256,7 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
 
 
 def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
-    """Say when Z0 is to be set again: after another tool was put in, and only then."""
+    """Say when Z0 has to be set again: only after a tool change."""
     radii = [row.get("radius_mm") and cutter(row) for row in passes]
     changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
     if len(radii) < 2:
@@ -283,8 +283,8 @@ def _file_of(row: Mapping[str, Any]) -> str:
 
 
 def _list_unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones
-    take.
+    """Return the worst few places where the last ball cannot touch the lens. Stock of earlier balls is removed by later
+    ones.
     """
     places = (passes[-1].get("unreached") or ()) if passes else ()
     return [place if isinstance(place, str) else _place_in_words(table(place)) for place in places[:_PLACES_SHOWN]]
@@ -301,7 +301,7 @@ def _place_in_words(place: Mapping[str, Any]) -> Phrase:
 
 
 def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Return (lowest, highest) Z of a program; empty where the report has none."""
+    """Return (lowest, highest) Z of a program; empty if the report has none."""
     bounds = table(row.get("bounds")).get("z") or ()
     return tuple(float(z) for z in bounds if z is not None and isfinite(z)) if len(bounds) == 2 else ()
 

@@ -2,7 +2,7 @@
 
 The block holds a flat back at -thickness, four sides, the lens surface on its own coarser grid, and, where there is a
 margin, a flat ring at Z0 with an upright wall down to the rim of the lens. A lens with an outline of its own is shown
-as it is when it has been cut out: the sides are upright and follow the outline, and nothing is left of the margin.
+as cut out: its sides are upright and follow the outline, without a margin.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def lens_solid(
     """Return the block as a trimesh.Trimesh, normals outward, at most max_vertices along the longer side of the lens.
 
     outline_mm : corners in the aperture, counter-clockwise, that the block is cut along; None: it stays a box
-    Raises ReliefTooDeep where the floor gets thinner than min_floor_mm, SolidError where no closed solid results.
+    Raises ReliefTooDeep if the floor gets thinner than min_floor_mm, SolidError if no closed solid results.
     """
     require_floor(heightfield, thickness_mm=thickness_mm, min_floor_mm=min_floor_mm)
     x_mm, y_mm, z_mm = _lens_grid(heightfield, max_vertices)
@@ -66,7 +66,7 @@ def stl_bytes(mesh: Any) -> bytes:
 
 
 def _cut_out(solid: manifold3d.Manifold, outline_mm: Sequence[Sequence[float]], thickness_mm: float) -> Any:
-    """Return what of the block stands over the outline."""
+    """Return the part of the block above the outline."""
     flat = manifold3d.CrossSection([[(x, y) for x, y in outline_mm]])
     column = flat.extrude(thickness_mm + 2 * _OVERLAP_MM).translate((0, 0, -thickness_mm - _OVERLAP_MM))
     cut = (solid ^ column).to_mesh64()
@@ -76,7 +76,7 @@ def _cut_out(solid: manifold3d.Manifold, outline_mm: Sequence[Sequence[float]], 
 
 
 def _mesh(vertices: Array, faces: Indices) -> Any:
-    import trimesh  # slow to import; a caller that only asks whether a lens fits does not need it
+    import trimesh  # slow to import, and not needed to check whether a lens fits
 
     return trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
 
@@ -114,7 +114,7 @@ def _block(x_mm: Array, y_mm: Array, z_mm: Array, *, thickness_mm: float, margin
     loops += [_at_height(outer, -thickness_mm)]
     starts = grid.shape[0] + rim.size * np.arange(len(loops))
     rings = [rim, *(np.arange(start, start + rim.size) for start in starts)]
-    if margin_mm > 0:  # where the lens touches Z0 the wall has no height: its two vertices are one
+    if margin_mm > 0:  # where the lens touches Z0 the wall has no height, and its two vertices coincide
         rings[1] = np.where(grid[rim, 2] >= 0.0, rim, rings[1])
     back = grid.shape[0] + rim.size * len(loops)
     vertices = np.concatenate([grid, *loops, [[*centre_mm, -thickness_mm]]])

@@ -32,7 +32,7 @@ from service.job.spec.section import (
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 MOST_CLAMPS = 20
-MIN_FLOOR_MM = 2.0  # least stock under the deepest point: less bends and vibrates under the cutter
+MIN_FLOOR_MM = 2.0  # least stock under the deepest point: a thinner floor bends and vibrates under the cutter
 FRAME_MM = 1.0
 """Width of the block that must remain around the slot: without it the tabs hold nothing."""
 

@@ -29,9 +29,9 @@ def require_travel(spec: JobSpec, machine: MachineProfile, *, depth_mm: float) -
 def find_beyond_travel(
     spec: JobSpec, machine: MachineProfile, radii_mm: Sequence[float], *, depth_mm: float = 0.0
 ) -> Iterator[tuple[Problem, float | None]]:
-    """Yield each axis of the mill that is too short: key and sentence, and a value of that key that would do.
+    """Yield each axis of the mill that is too short: key, sentence, and a value of that key that would fit.
 
-    radii_mm : of the cutters that go all over the lens, each one radius beyond its rim
+    radii_mm : of the cutters that cover the whole lens, each one radius beyond its rim
     depth_mm : of the lens under Z0, as far as it is known
     """
     stock, optics = spec.stock, spec.optics
@@ -75,7 +75,7 @@ def find_beyond_travel(
 def _list_overhangs(
     spec: JobSpec, machine: MachineProfile, radii_mm: Sequence[float], axis: str
 ) -> Iterator[tuple[float, Phrase]]:
-    """Yield how far beyond the lens something moves at either side, and what."""
+    """Yield what moves beyond the lens, and how far at either side."""
     stock = spec.stock
     radius_mm = max(radii_mm, default=0.0)
     yield radius_mm, Phrase("a cutter of radius {radius_mm:g} mm", radius_mm=radius_mm)

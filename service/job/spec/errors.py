@@ -21,7 +21,7 @@ _KEY_CHARS = 60
 
 
 def as_spec_error(error: ValidationError) -> SpecError:
-    """Return one (key, sentence) pair for each thing pydantic found, in the order of the spec, of the first 50."""
+    """Return one (key, sentence) pair for each of the first 50 errors that pydantic found, in the order of the spec."""
     details = error.errors(include_url=False)
     count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
@@ -102,7 +102,7 @@ def _schema_at(place: Place) -> dict[str, Any] | None:
 
 
 def _resolve_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
-    """Follow $ref and 'X or null' to the schema that says something."""
+    """Follow $ref and 'X or null' to the schema of the value."""
     if "$ref" in schema:
         return _resolve_schema(_spec_schema()["$defs"][schema["$ref"].rpartition("/")[2]])
     for choice in schema.get("anyOf", ()):

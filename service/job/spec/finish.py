@@ -93,13 +93,13 @@ class FinishSpec(Section):
 
     @property
     def witnessed(self) -> bool:
-        """Whether marks are asked for and a pad may do the work, as far as is known yet."""
+        """Whether marks are wanted and a pad may do the work, as far as known so far."""
         by_contact = self.process != NONE if self.depth_um is None else self.contact_depth_mm is not None
         return self.witness and self.finishes and by_contact
 
     @property
     def finishes(self) -> bool:
-        """Whether anything is levelled, as far as is known yet."""
+        """Whether anything is levelled, as far as known so far."""
         return self.process != NONE or self.k0_rad_per_mm is not None
 
     @property

@@ -1,5 +1,5 @@
-"""The job spec in the form of the optics package: the bench, its light, and the decisions about the lens; and the mill
-as time estimates and programs take it.
+"""Converts the job spec into the types of the optics package (the bench, its light, the settings of the lens), and the
+mill into those of time estimates and programs.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _GAUSSIAN_NODES = 129  # from rim to rim: bilinear between them is within 2e-4 o
 
 
 def bench_of(spec: JobSpec) -> Bench:
-    """Return the set-up. Where light crosses the block straight, its thickness does not matter and is left out; for a
-    mirror nothing of the block does.
+    """Return the set-up. If light crosses the block straight, its thickness does not matter and is left out; for a
+    mirror the block does not matter at all.
     """
     optics, is_lens = spec.optics, spec.optics.surface == "lens"
     corners = optics.outline_mm
@@ -68,7 +68,7 @@ def haze_of(spec: JobSpec) -> float:
 
 
 def back_of(spec: JobSpec) -> Back | None:
-    """Return the face that light enters by; None where it is flat, or not known."""
+    """Return the face by which light enters; None if it is flat, or not known."""
     flatness_mm, period_mm = spec.stock.back_flatness_mm, spec.stock.back_period_mm
     return Back(flatness_mm=flatness_mm, period_mm=period_mm) if flatness_mm else None
 
@@ -90,7 +90,7 @@ def facts_of_light(spec: JobSpec) -> dict[str, Any]:
 
 
 def branch_of(spec: JobSpec, target: Array) -> Branch:
-    """Return whether rays cross: as the person wants, or as picture and thickness of the block suggest."""
+    """Return whether rays cross: as the person has chosen, or as picture and block thickness suggest."""
     if spec.optics.method == "paper":
         return "direct"
     if spec.optics.branch == "auto":
@@ -100,7 +100,7 @@ def branch_of(spec: JobSpec, target: Array) -> Branch:
 
 
 def with_branch(spec: JobSpec, target: Array) -> JobSpec:
-    """Return the spec with the branch that its picture suggests; target (ny, nx): as fine as the job's own."""
+    """Return the spec with the branch that its picture suggests; target (ny, nx): at the job's resolution."""
     return spec.model_copy(update={"optics": spec.optics.model_copy(update={"branch": branch_of(spec, target)})})
 
 
@@ -126,7 +126,7 @@ def finish_of(spec: JobSpec) -> Finish | None:
 
 
 def build_finish(given: FinishSpec) -> Finish | None:
-    """Return a finish in the form of the optics package; None if nothing is levelled, as far as is known."""
+    """Return a finish as the optics package's type; None if nothing is levelled, or if that is not known."""
     if given.k0_rad_per_mm is None or given.order is None:
         return None
     return Finish(
@@ -181,7 +181,7 @@ def warn_of_reflection(share: float) -> Phrase:
 def require_contrast(spec: JobSpec, target: Array) -> None:
     """Raise PictureError for a target (ny, nx) of one tone if the light is even without a lens.
 
-    An even screen of another size or place, or lit by a lamp, is a proper task for a lens.
+    An even screen of another size or place, or one lit by a lamp, is a valid task for a lens.
     """
     optics, light = spec.optics, spec.optics.light
     straight = light.distance_mm is None and light.even and optics.outline_mm is None

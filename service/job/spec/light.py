@@ -1,4 +1,4 @@
-"""The light of a job. Each kind of source has its own figures; those of other kinds are errors."""
+"""The light of a job. Each kind of source has its own figures; figures of another kind are errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from optics.spectrum import Spectrum
 
 _USUAL = "collimated"
-"""The kind of a light that says none."""
+"""The kind of a light without a kind."""
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
 _LEAST_PROFILE = 1e-6  # least maximum of a profile, so that no ratio of its values overflows
@@ -28,7 +28,7 @@ SPECTRA = {
     "sun": ("sunlight", Phrase("sunlight")),
     "monochromatic": ("one wavelength", Phrase("light of one wavelength")),
 }
-"""Of one name, by it: the choice in the form, and what it is in a sentence."""
+"""By name: the choice in the form, and the name in a sentence."""
 _RANGE = {
     "size_deg": Phrase("a number from 0.001 to 10 degrees"),
     "distance_mm": Phrase("a number from 10 to 100000 mm"),
@@ -56,7 +56,7 @@ class LightWords:
 
 
 def kind_of(light: Mapping[str, Any]) -> str:
-    """Return the kind of a light given as plain data, which in old reports says none."""
+    """Return the kind of a light given as plain data; old reports lack it."""
     return light.get("kind") or _USUAL
 
 
@@ -207,7 +207,7 @@ class LightSpec(Section):
     @classmethod
     def _of_its_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
         key, kind = str(info.field_name), info.data.get("kind")
-        if kind is None:  # it is wrong itself, and said so
+        if kind is None:  # the kind itself is wrong and has been reported
             return value
         if key not in LIGHT_WORDS[kind].figures:
             if value is not None:
@@ -234,7 +234,7 @@ class LightSpec(Section):
     @classmethod
     def _known_spectrum(cls, spectrum: Any, info: ValidationInfo) -> Any:
         if spectrum is None:
-            words = LIGHT_WORDS.get(info.data.get("kind", ""))  # none of a kind that is wrong itself, and said so
+            words = LIGHT_WORDS.get(info.data.get("kind", ""))  # none if the kind itself is wrong and has been reported
             return words.spectrum if words else "white"
         if isinstance(spectrum, str) and spectrum in SPECTRA:
             return spectrum

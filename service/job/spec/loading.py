@@ -36,7 +36,8 @@ RECOMMENDED_MARGIN_MM = 20.0  # a ring that can be clamped beside the 12 mm that
 _INDEX = re.compile(r"\d{1,4}")
 Json = dict[str, Any]
 Place = tuple[str | int, ...]
-# In place of a measured light while the rest is tried: it has 16,384 values, is never a default, and each try reads it.
+# Stands in for a measured light while the other values are tried: it has 16,384 values, which each try would read, and
+# is never a default.
 _SOME_PROFILE = [[1.0, 1.0], [1.0, 1.0]]
 
 
@@ -242,7 +243,7 @@ def _override(data: dict[str, Any], text: str) -> None:
 
 def _set_profile(data: dict[str, Any], picture: Path) -> None:
     """Set optics.light.profile to the picture's rows; its tones are read like those of the job's picture."""
-    from service.job.picture.reading import light_rows  # arrays: not for those who only plan
+    from service.job.picture.reading import light_rows  # imports arrays, which a caller that only plans does not need
 
     optics, image = data.get("optics", {}), data.get("image", {})
     light = optics.get("light", {}) if isinstance(optics, Mapping) else {}

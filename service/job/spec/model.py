@@ -218,7 +218,7 @@ class JobSpec(Section):
 
     @property
     def goes_on_after_passes(self) -> bool:
-        """Whether a program after the passes mills into the stock that they leave."""
+        """Whether a program after the passes mills the stock that they leave."""
         return self.finish.witnessed or self.stock.cut_out is not None
 
     @property
@@ -290,4 +290,4 @@ USUAL_ROWS = (
     PassRow(name="rough", radius_mm=6.0, pitch_mm=2.0, stock_to_leave_mm=0.2),
     PassRow(name="finish", radius_mm=6.0, pitch_mm=0.07),
 )
-"""What passes that are still to be planned mostly come to: for sizes and shares of time until then."""
+"""Typical passes, from which sizes and shares of time are estimated until the passes are planned."""

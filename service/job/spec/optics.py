@@ -41,7 +41,7 @@ def ellipse_mm(width_mm: float, height_mm: float) -> list[list[float]]:
 
 
 def counter_clockwise(corners: Sequence[Corner]) -> list[list[float]]:
-    """Return the same corners, in that order."""
+    """Return the same corners in counter-clockwise order."""
     ordered = [[float(x), float(y)] for x, y in corners]
     return ordered if _signed_area(ordered) > 0 else ordered[::-1]
 
@@ -82,7 +82,7 @@ def outline_fault(corners: Sequence[Corner], *, width_mm: float, height_mm: floa
 
 
 def _signed_area(corners: Sequence[Corner]) -> float:
-    """Return the area, positive where the corners run counter-clockwise."""
+    """Return the area, positive if the corners run counter-clockwise."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise([*corners, corners[0]])) / 2
 
 
@@ -96,7 +96,7 @@ def _cross(a: Corner, b: Corner, c: Corner, d: Corner) -> bool:
 
 
 def _side(a: Corner, b: Corner, point: Corner) -> float:
-    """Return the side, positive where `point` lies to the left of a -> b."""
+    """Return a number that is positive if `point` lies to the left of a -> b."""
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])
 
 

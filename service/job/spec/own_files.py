@@ -22,17 +22,17 @@ PROFILE_KEYS = (
     "extends", "description", "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "spindle_rpm", "step_mm",
     "z_noise_mm", "collet_mm", "spindle_w", "removal_cm3_per_min",
 )  # fmt: skip
-"""Of a profile's file, which can be stated so. A file with other keys was written by hand."""
+"""Keys of a profile's file that the page or REST can state. A file with other keys was written by hand."""
 
 
 def find_own_file(name: str) -> Path | None:
-    """Return the path of the person's own file of that name, existing or not; None: there is no such folder."""
+    """Return the path of the person's own file of that name, existing or not; None without a configuration folder."""
     folders = user_folders()
     return folders[0].parent / name if folders else None
 
 
 def require_own_file(name: str) -> Path:
-    """Return the same path. InputError says how to get such a folder."""
+    """Return the path of `find_own_file`. InputError says how to get a configuration folder."""
     path = find_own_file(name)
     if path is None:
         raise InputError(Phrase("no folder for your own files; set CAUSTICMILL_CONFIG_DIR and start the server again"))
@@ -40,7 +40,7 @@ def require_own_file(name: str) -> Path:
 
 
 def write_own_file(path: Path, text: str) -> None:
-    """Write the file, whole or not at all, and the folders above it."""
+    """Write the file, completely or not at all, and create the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, text.encode())
 
@@ -59,7 +59,7 @@ def read_library(path: Path) -> dict[str, Any]:
 
 
 def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
-    """Write a profile, whole or not at all, and return it.
+    """Write a profile, completely or not at all, and return it.
 
     values : by PROFILE_KEYS; `extends` is a built-in profile
     InputError names the unusable value, or says that the name belongs to a built-in profile or a file written by hand.

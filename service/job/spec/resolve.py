@@ -91,7 +91,7 @@ class ResolvedJob:
             if value is not None:
                 own[key] = tuple(value) if isinstance(value, list) else value
         if spec.finish.finishes and spec.machine.whole_steps is None:
-            own["whole_steps"] = True  # a finish takes off errors that alternate from row to row, not the control's
+            own["whole_steps"] = True  # a finish removes errors that alternate from row to row, not the control's
         machine = replace(self.figures.profile, **own)
         unsupported = find_unsupported(machine.dialect, setup_of(machine))
         if problems := [
@@ -126,7 +126,7 @@ def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
 
 
 def setup_of(machine: MachineProfile) -> ProgramSetup:
-    """Return what programs for this mill switch on before they cut, and off afterwards."""
+    """Return the set-up of programs for this mill: what they switch on before cutting, and off afterwards."""
     return ProgramSetup(
         coolant=cast(Coolant, machine.coolant),
         work_offset=machine.work_offset,

@@ -1,4 +1,4 @@
-"""Common parts of all tables of the job spec, lengths in mm, and the look of their keys in the form of a new job.
+"""Common parts of all tables of the job spec, and how their keys look in the form for a new job. Lengths are in mm.
 
 The words for the form go into the JSON schema, from which the page makes its rows (`service/page/new/fields.js`). Every
 key of the spec has a row; `shown` describes it.

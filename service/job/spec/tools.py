@@ -52,7 +52,7 @@ def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
 
 
 def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
-    """Write the person's own library, whole or not at all, and return it. InputError says what is wrong with a row."""
+    """Write the person's own library, completely or not at all, and return it. InputError names the fault of a row."""
     path = require_own_file(_NAME)
     tools = _tools_of(Path(path.name), {"tool": [dict(row) for row in rows]})
     write_own_file(path, "\n".join(_as_toml(tool) for tool in tools))
@@ -110,7 +110,7 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
 
 
 def _list_limits(tool: Tool) -> tuple[tuple[str, bool, Phrase], ...]:
-    """Return what a figure of a tool depends on: its key, whether it is wrong, what is allowed."""
+    """Return the limits of a tool's figures that depend on other figures: key, whether it is wrong, what is allowed."""
     ball_mm, flutes_mm = tool.radius_mm, tool.flute_length_mm
     return (
         ("corner_radius_mm", (tool.corner_radius_mm or 0.0) > ball_mm,

@@ -1,7 +1,7 @@
-"""Stages around the passes of the lens: the stock's top faced before them, witness marks milled and the lens cut out
-after them.
+"""Stages around the passes of the lens: before them the stock's top is faced; after them witness marks are milled and
+the lens is cut out.
 
-Written, read back and simulated as every pass; the stock goes on from one to the next.
+Their programs are written, read back and simulated like every pass; the stock is handed from one to the next.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def run_facing(context: StageContext) -> None:
 
 
 def run_witness(context: StageContext) -> None:
-    """Write the program that mills the witness marks; its row of report `around`, and what the marks are in `witness`;
-    no program where none can be made.
+    """Write the program that mills the witness marks; its row of report `around`, and the marks in `witness`; no
+    program if none can be made.
     """
     try:
         planned = plan_witness(context.job)
@@ -139,7 +139,7 @@ def simulate(
 
 
 def raw_stock(spec: JobSpec) -> StockGrid:
-    """Return the block before the first program, with what is to be faced on its top."""
+    """Return the block before the first program, including the stock that will be faced off."""
     block = first_stock(cam_stock_of(spec))
     if spec.stock.face is None:
         return block

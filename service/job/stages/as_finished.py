@@ -1,5 +1,5 @@
-"""The stage that levels the milled surface as the finish will, and shines light through it: the picture of the job; and
-what too little and too much of the finish show, and within how many minutes the picture stays.
+"""The stage that levels the milled surface as the finish will, and simulates light through it. The result is the
+picture of the job. It also simulates too little and too much of the finish, and finds the tolerance in minutes.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, r
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
 
-_STEPPING_MM = 0.05  # an axis steps within moves, and a finish leaves the terraces; shorter ones it takes off
+_STEPPING_MM = 0.05  # longest step within moves that a finish takes off; longer terraces stay
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
 _SEEN_MM = 0.1  # of a rim
-_ALL_TOUCHED = 0.98  # of the lens: what is lost on the rest is hardly seen
+_ALL_TOUCHED = 0.98  # of the lens: a loss on the rest is hardly visible
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 K0_TIMES = (1.25, 0.8)
 """Of the planned k0: too little work, and too much."""
@@ -52,7 +52,7 @@ LOSS_DB = 1.0
 
 def run_as_finished(context: StageContext) -> None:
     """Simulate light through the surface that programs and finish leave: report `as_finished` and `rim_room`,
-    caustic-as-finished.png, comparison-as-finished.png, light-as-finished.bin for the operator page. Nothing where
+    caustic-as-finished.png, comparison-as-finished.png, light-as-finished.bin for the operator page. Does nothing if
     nothing is finished by hand, or no pass finishes.
     """
     finish, passes = finish_of(context.spec), list_finish_passes(context)
@@ -80,8 +80,8 @@ def run_as_finished(context: StageContext) -> None:
         own_db, gains = psnr_db(seen.irradiance, target), {}
         for cause, other in bench.without_each_flaw().items():
             gains[cause] = psnr_db(light_through(finished.lens, other, shape).irradiance, target) - own_db
-    _tell(context, finished, target, seen, gains)
-    _tell_of_rims(context, lens, finish)
+    _report_light(context, finished, target, seen, gains)
+    _report_rims(context, lens, finish)
     if sentence := warn_of_lost_contact(finished.contact_share):
         context.note("passes", sentence)
     milled_mm = min(max(spec.radius_mm for _, spec in passes), context.spec.stock.margin_mm)
@@ -96,7 +96,7 @@ def run_as_finished(context: StageContext) -> None:
 
 
 def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> Phrase | None:
-    """Warn where what is milled around the lens is narrower than the finish reaches."""
+    """Warn if the milled border around the lens is narrower than the reach of the finish."""
     if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
         return None
     return Phrase(
@@ -110,7 +110,7 @@ def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> Phrase | None:
 
 
 def warn_of_lost_contact(share: float) -> Phrase | None:
-    """Warn where the tool does not reach part of the lens, share within 0 and 1 of which it touches."""
+    """Warn if the tool does not reach part of the lens; share, 0 to 1: of the lens that it touches."""
     if share >= _ALL_TOUCHED:
         return None
     return Phrase(
@@ -122,7 +122,7 @@ def warn_of_lost_contact(share: float) -> Phrase | None:
 
 
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
-    """Return how many times as fine as the lens's vertices the surface must be known for that finish."""
+    """Return how many times finer than the lens's vertices the surface must be sampled for that finish."""
     cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
@@ -139,13 +139,15 @@ def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap)
 
 
 def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
-    """Simulate light (ny, nx) by way of a surface that is known more finely than the picture."""
+    """Simulate light (ny, nx) through a surface that is sampled more finely than the picture."""
     pixel_mm = min(bench.screen.width_mm / shape[1], bench.screen.height_mm / shape[0])
     tubes = max(2, math.ceil(_TUBES_PER_PIXEL * finished.dx_mm / pixel_mm))
     return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)
 
 
-def _tell(context: StageContext, finished: Finished, target: Array, seen: Caustic, gains: dict[str, float]) -> None:
+def _report_light(
+    context: StageContext, finished: Finished, target: Array, seen: Caustic, gains: dict[str, float]
+) -> None:
     finish, score = finish_of(context.spec), asdict(score_caustic(seen.irradiance, target))
     assert finish is not None
     pixel_mm = bench_of(context.spec).screen.width_mm / target.shape[1]
@@ -164,7 +166,7 @@ def _tell(context: StageContext, finished: Finished, target: Array, seen: Causti
     )
 
 
-def _tell_of_rims(context: StageContext, lens: Heightfield, finish: Finish) -> None:
+def _report_rims(context: StageContext, lens: Heightfield, finish: Finish) -> None:
     spec = context.spec
     room = measure_rim_room(lens, cam_passes_of(spec), finish, margin_mm=spec.stock.margin_mm)
     if room is None:
@@ -176,7 +178,7 @@ def _tell_of_rims(context: StageContext, lens: Heightfield, finish: Finish) -> N
 
 
 def _draw(context: StageContext, target: Array, finished: Array) -> None:
-    from service.job.report.figures.wall import comparison_png  # what it stands on is slow to import
+    from service.job.report.figures.wall import comparison_png  # its dependencies are slow to import
 
     viewed_from, white = context.spec.optics.viewed_from, float(target.max())
     aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))
@@ -189,7 +191,7 @@ def _draw(context: StageContext, target: Array, finished: Array) -> None:
 def report_tolerance(
     context: StageContext, finish: Finish, target: Array, planned: Array, light_of: Callable[[Finish], Array]
 ) -> None:
-    """Report `finish_tolerance` and draw what the wall shows after too little of the finish, as planned, and too much.
+    """Report `finish_tolerance` and draw the light after too little of the finish, as planned, and after too much.
 
     planned  : irradiance (ny, nx) as finished; light_of: the same behind another finish
     """
@@ -220,7 +222,7 @@ def minutes_ratio(job: ResolvedJob, finish: Finish, k0_times: float) -> float:
 
 
 def work_longer(finish: Finish, k0_times: float, minutes_times: float) -> Finish:
-    """Return the finish after another time, at the same pressure: what comes off grows with the minutes."""
+    """Return the finish after another time at the same pressure: the removal grows with the minutes."""
     depth_mm = None if finish.depth_mm is None else finish.depth_mm * minutes_times
     return replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * k0_times, depth_mm=depth_mm)
 

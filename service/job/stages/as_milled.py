@@ -1,4 +1,6 @@
-"""The stage that shines light through the surface that the programs really leave: the picture a person will get."""
+"""The stage that simulates light through the surface that the programs really leave: the picture that a person will
+get.
+"""
 
 from __future__ import annotations
 
@@ -33,15 +35,15 @@ from service.job.spec.resolve import cam_passes_of
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
 
-_SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; of a small one a quarter, but not fewer
-_SLOPES = 96  # by which the operator page knows it
-_FINER = 4.0  # a quarter of the pitch: as good as no grooves
+_SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; a quarter for a small one, but at least _FEW
+_SLOPES = 96  # number of slopes for the operator page
+_FINER = 4.0  # a quarter of the pitch: almost without grooves
 
 
 def run_as_milled(context: StageContext) -> None:
     """Simulate light through the surface that finishing programs leave: report `as_milled`, caustic-as-milled.png, and
-    as-milled.png, which shows it beside target and design, and light-as-milled.bin for the operator page. Nothing where
-    no pass finishes.
+    as-milled.png, which shows it beside target and design, and light-as-milled.bin for the operator page. Does nothing
+    if no pass finishes.
     """
     heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = context.receive(MAP, arrays.load_target)
@@ -66,7 +68,7 @@ def run_as_milled(context: StageContext) -> None:
     del surface, part
     with context.watch.stage("as milled: causes") as on_progress:
         designed = simulate_caustic(surface_in_light(heightfield, finish_of(context.spec)), bench, pixels=shape)
-        # A finish takes the marks off: what each of them alone would bring is no advice.
+        # A finish removes the marks, so the gain without each of them is of no use as advice.
         finishes = context.spec.finish.finishes
         gains = {} if finishes else _gains(context, passes[0][1], heightfield, target, designed, on_progress)
     _report_milled(context, target, seen, designed, found, gains)
@@ -87,7 +89,7 @@ def read_tracks(
 ) -> list[Tracks]:
     """Return the written programs of these passes as the mill runs them, with its steps and errors.
 
-    longest_mm : an axis stands on a step at least so often, within moves, too
+    longest_mm : greatest distance between stops of an axis on a step, also within moves
     """
     machine, rows = context.machine, context.so_far["passes"]
     screws, chord_mm = screws_of(machine), longest_mm if machine.step_mm > 0 else math.inf
@@ -106,7 +108,7 @@ def read_tracks(
 
 
 def screws_of(machine: MachineProfile) -> Screws | None:
-    """Return the errors of a mill's screws; None where they are none, or not known."""
+    """Return the errors of a mill's screws; None if they are none, or not known."""
     if machine.screw_error_mm is None or not any(machine.screw_error_mm):
         return None
     return Screws(error_mm=machine.screw_error_mm, lead_mm=machine.screw_lead_mm)
@@ -122,7 +124,7 @@ def _decimals(machine: MachineProfile) -> int:
 
 
 def _keep_samples(surface: MilledSurface) -> tuple[Callable[[int], Array], dict[int, Array]]:
-    """Return the surface's parts by number, and where those of them that are samples are kept once they are made."""
+    """Return the surface's parts by number, and a store for the sampled parts once they are made."""
     samples = min(_SAMPLES, max(_FEW, surface.parts // 4))
     wanted = set(((np.arange(samples) + 0.5) / samples * surface.parts).astype(int).tolist())
     kept: dict[int, Array] = {}
@@ -144,7 +146,7 @@ def _gains(
     designed: Caustic,
     on_progress: Callable[[float], None],
 ) -> dict[str, float]:
-    """Return dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
+    """Return the gain in dB of the picture without each single cause, from samples of rows."""
     machine, bench = context.machine, bench_of(context.spec)
     now: dict[str, Any] = {
         "pitch_mm": spec.pitch_mm,
@@ -155,7 +157,7 @@ def _gains(
         "surface": find_touched_surface(heightfield, spec.radius_mm, spec.direction),
     }
     without: dict[str, dict[str, Any]] = {
-        "scallops": {"pitch_mm": max(spec.pitch_mm / _FINER, machine.step_mm)},  # closer rows stand on one another
+        "scallops": {"pitch_mm": max(spec.pitch_mm / _FINER, machine.step_mm)},  # closer rows would coincide
         "steps": {"step_mm": 0.0},
         "noise": {"z_noise_mm": 0.0},
         "rounding": {"decimals": 9},
@@ -201,14 +203,14 @@ def _report_milled(
             "gain_db_without": gains,
         }
     )
-    if context.spec.finish.finishes:  # which takes the marks off
+    if context.spec.finish.finishes:  # which removes the marks
         return
     if lost := detail_lost(context.report["as_milled"], planned=context.spec.preset == "recommended"):
         context.note("passes", lost)
 
 
 def _draw(context: StageContext, target: Array, designed: Array, milled: Array) -> None:
-    from service.job.report.figures.wall import as_milled_png  # what it stands on is slow to import
+    from service.job.report.figures.wall import as_milled_png  # its dependencies are slow to import
 
     viewed_from = context.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]

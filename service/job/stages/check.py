@@ -1,5 +1,5 @@
-"""The last two stages: all programs together, each read as the mill's streamer will read it, and drawn from its text;
-then spec.json, report.json, and the setup sheet made from them, whole and as one page for the mill.
+"""The last two stages. The first reads all programs as the mill's streamer will and draws them from their text. The
+second writes spec.json, report.json, and the setup sheet made from them, complete and as one page for the mill.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
 
 def _draw(context: StageContext, programs: list[list[Path]]) -> None:
     """Draw toolpath.png and, for the operator page, pass-N.path, from the text of the programs."""
-    from service.job.report.figures.paths import toolpath_png  # what it stands on is slow to import
+    from service.job.report.figures.paths import toolpath_png  # its dependencies are slow to import
 
     stock = cam_stock_of(context.spec)
     with context.watch.stage("toolpath picture") as on_progress:
@@ -109,7 +109,7 @@ def _follow(context: StageContext, paths: list[Path], number: int, sample: PathS
 
 
 def _facts(context: StageContext, number: int) -> dict[str, Any]:
-    """Return what stands at the beginning of pass-N.path."""
+    """Return the facts for the header of pass-N.path."""
     settings, row = context.spec.passes[number - 1], context.so_far["passes"][number - 1]
     keys = {"name", "strategy", "direction", "pitch_mm", "radius_mm", "feed_mm_per_min", "stock_to_leave_mm"}
     programs = [{"file": part["file"], "lines": part["lines"]} for part in row.get("parts") or [row]]
@@ -121,8 +121,8 @@ def _part(on_progress: Callable[[float], None], number: int, count: int) -> Call
 
 
 def run_report(context: StageContext) -> None:
-    """Complete the report and write the files; report.json comes last and says that the job is whole."""
-    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # what it stands on is slow to import
+    """Complete the report and write the files; report.json comes last and marks the job as complete."""
+    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # its dependencies are slow to import
 
     notes = merge_notes(({"optics": [], "passes": []}, context.earlier_notes))
     by_part = {

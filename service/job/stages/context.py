@@ -1,4 +1,4 @@
-"""What a stage works with: the job's spec, the folder, what earlier stages said, and what it says itself.
+"""The context of a stage: the job's spec, the folder, the results of earlier stages, and its own.
 
 Theory of operation: stages hand files to one another. In the job server each runs in a process of its own and reads
 them back; at the command line all run in one process and find on the `desk` what an earlier one has put there. Files
@@ -34,9 +34,9 @@ THE_PICTURE = "{picture}"  # in a note: the picture's name, which only the last 
 
 
 class PictureQueue:
-    """Draws pictures in one thread, beside the rest of the stage: drawing shares fonts, and the stage does not wait.
+    """Draws pictures in one thread, so that the stage does not wait. One thread, because fonts are shared.
 
-    A context: pictures that are not begun when it ends are dropped.
+    A context manager: pictures that are not begun when it ends are dropped.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class PictureQueue:
         self._thread.shutdown(cancel_futures=True)
 
     def import_first(self, modules: Iterable[str]) -> None:
-        """Import what pictures are drawn with before the first is asked for."""
+        """Import the drawing libraries before the first picture is requested."""
         self._begun.append(self._thread.submit(lambda: [import_module(name) for name in modules]))
 
     def draw(self, path: Path, picture: Callable[[], bytes]) -> None:
@@ -58,12 +58,12 @@ class PictureQueue:
         self._begun.append(self._thread.submit(lambda: job_files.write_bytes(path, picture())))
 
     def raise_failures(self) -> None:
-        """Raise what the first did that has failed so far."""
+        """Raise the error of the first picture that has failed so far."""
         while self._begun and self._begun[0].done():
             self._begun.pop(0).result()
 
     def finish(self) -> None:
-        """Wait until all that was begun is written; raises what the first that failed did."""
+        """Wait until all pictures are written; raise the error of the first that failed."""
         while self._begun:
             self._begun.pop(0).result()
 
@@ -118,14 +118,14 @@ class StageContext:
 
     @property
     def is_shown(self) -> bool:
-        """Whether what the operator page draws is wanted: the folders of the command line do without."""
+        """Whether files for the operator page are wanted; folders of the command line have none."""
         return self.desk is None
 
     def save(self, name: str, data: bytes) -> None:
         job_files.write_bytes(self.folder / name, data)
 
     def draw(self, name: str, picture: Callable[[], bytes]) -> None:
-        """Save what `picture` returns, drawn beside the rest of the stage.
+        """Save what `picture` returns, in the drawing thread.
 
         name : of a row of `service.job.report.pictures`, or of another file that `service.job.files` knows
         """
@@ -133,14 +133,14 @@ class StageContext:
         self.picture_queue.draw(self.folder / name, picture)
 
     def hand_over(self, name: str, value: T, encode: Callable[[T], bytes]) -> None:
-        """Give a later stage this value, as a file of this name where it is one of the job's or there is no desk."""
+        """Hand this value to a later stage: in a file of this name, if that is one of the job's or there is no desk."""
         if self.desk is not None:
             self.desk[name] = value
         if self.desk is None or not name.startswith("."):
             self.save(name, encode(value))
 
     def receive_if_there(self, name: str, decode: Callable[[Path], T]) -> T | None:
-        """Return the same of what an earlier stage hands over in some jobs only."""
+        """Return what an earlier stage hands over; None if it did not, as in some jobs."""
         is_there = (self.desk is not None and name in self.desk) or (self.folder / name).is_file()
         return self.receive(name, decode) if is_there else None
 

@@ -1,10 +1,10 @@
-"""The stage that finds a job's passes where its preset is "recommended": before the lens, which its ball shapes. The
-passes go into report `plan`; `spec.resolve.with_plan` puts them into the spec that all later stages get.
+"""The stage that plans a job's passes if its preset is "recommended". It runs before the lens, whose shape depends on
+the ball. The passes go into report `plan`; `spec.resolve.with_plan` puts them into the spec that all later stages get.
 
-An exact estimate and the job made after it, or two of either, plan once.
+An exact estimate and a job of the same input share one plan, as do two estimates or two jobs.
 
-A plan is kept in a folder under the key of the stage that plans: the same picture, spec, mill, tools, sources and
-libraries. Kept is what the stage reports and draws of it, and the light that an estimate shows.
+A plan is kept in a folder under the planning stage's key, which covers picture, spec, mill, tools, sources and
+libraries. The file holds the plan's report and picture, and the light that an estimate shows.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _KEPT_BYTES = 200_000_000  # of all plans; one of a 512 x 512 picture takes 3 MB
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MadePlan:
-    """What is wanted of a plan, made now or before.
+    """A plan for its users, whether made now or read from a file.
 
     figures : report `plan`
     notes   : of the passes, for the setup sheet
@@ -69,7 +69,7 @@ class KeptPlans:
     def make(
         self, job: ResolvedJob, target: Array, *, on_progress: Progress | None = None, at_once: bool = False
     ) -> MadePlan:
-        """Return the plan of a job for a target (ny, nx), work frame, mean 1. A new one is kept when it is drawn, or
+        """Return the plan of a job for a target (ny, nx), work frame, mean 1. A new plan is kept once it is drawn, or
         at once.
         """
         path = self._path(job, target)
@@ -96,10 +96,10 @@ NO_PLANS = KeptPlans(None)
 
 
 def describe_plan(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> MadePlan:
-    """Return what is wanted of a plan that was just made."""
+    """Return a plan that was just made, for its users."""
 
     def draw() -> bytes:
-        from service.job.report.figures.plan import plan_png  # what it stands on is slow to import
+        from service.job.report.figures.plan import plan_png  # its dependencies are slow to import
 
         return plan_png(planned, viewed_from=viewed_from)
 
@@ -112,7 +112,7 @@ def describe_plan(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -
 
 
 def _load(path: Path, target: Array) -> MadePlan | None:
-    """Load a plan; None where there is none, or the file is damaged."""
+    """Load a plan; None if there is none or the file is damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             words, picture, light = (stored[name] for name in ("words", "picture", "light"))
@@ -126,10 +126,10 @@ def _load(path: Path, target: Array) -> MadePlan | None:
 
 
 def _keep(path: Path, made: MadePlan) -> bytes:
-    """Keep a plan, and return its picture; one that cannot be kept is made again."""
+    """Keep a plan and return its picture. A plan that cannot be kept will be made again."""
     picture, seen = made.draw(), asdict(made.see())
     light = seen.pop("light")
-    del seen["target"]  # who asks has it
+    del seen["target"]  # the caller has it already
     plan = {"figures": made.figures, "notes": made.notes}
     words = json.dumps({"plan": plan, "phrases": phrases_in(plan), "seen": seen}).encode()
     kept = {"words": np.frombuffer(words, np.uint8), "picture": np.frombuffer(picture, np.uint8), "light": light}
@@ -141,7 +141,7 @@ def _keep(path: Path, made: MadePlan) -> bytes:
 
 
 def choose_passes(context: StageContext) -> None:
-    """Plan passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
+    """Plan passes for the picture; report `plan`, plan.png. Do nothing if the spec already has passes."""
     if not context.spec.to_be_planned:
         return
     target = context.receive(TARGET, arrays.load_target)
@@ -159,7 +159,7 @@ def plan_passes_for_lens(context: StageContext) -> None:
 
 
 def report_plan(context: StageContext, plan: MadePlan) -> None:
-    """Report `plan`, with the light that its scores hold under, and draw plan.png."""
+    """Report `plan` with the light for which its scores hold, and draw plan.png."""
     context.report["plan"] = {**plan.figures, "light": facts_of_light(context.spec)}
     for sentence in plan.notes:
         context.note("passes", sentence)

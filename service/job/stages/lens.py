@@ -1,6 +1,6 @@
-"""Stages from the picture to the lens: each loads, calls the pure code and stores.
+"""The stages from the picture to the lens. Each loads its inputs, calls pure code, and stores the results.
 
-Drawing and the solid are imported where they are used: a worker that has just started can begin without them.
+Drawing and the solid are imported where they are used, so that a worker that has just started can begin without them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from service.job.spec.lens_task import branch_of, facts_of_light, lens_settings,
 from service.job.spec.model import JobSpec
 from service.job.stages.context import THE_PICTURE, StageContext
 
-POLISH_SHARE = 12.0  # time of a polish, where the first solution takes 1
+POLISH_SHARE = 12.0  # time of a polish, in units of the first solution
 PICTURE, TARGET, ORIGINAL, HEIGHTS = ".picture.npz", ".target.npz", ".original.npz", ".heights.npz"
 
 
@@ -102,7 +102,7 @@ def run_transport_map(context: StageContext) -> None:
 
 
 def aim_of(spec: JobSpec, target: Array) -> Array:
-    """Return the target, sharper by the blur that milling will add."""
+    """Return the target, sharpened to compensate for the blur of milling."""
     (width_mm, height_mm), (ny, nx) = spec.optics.screen_size_mm, target.shape
     blur_x_mm, blur_y_mm = spec.optics.foreseen_blur_mm
     return sharpen(target, (blur_y_mm * ny / height_mm, blur_x_mm * nx / width_mm))
@@ -129,9 +129,7 @@ def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
 
 
 def write_solid_block(context: StageContext, lens: Heightfield) -> None:
-    """Write lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is
-    left.
-    """
+    """Write lens.stl and lens.png: for viewing, never for CAM. ReliefTooDeep if too little of the block is left."""
     require_fit_in_stock(context, lens)
     context.draw(SOLID, lambda: _stl(context.spec, lens))
     context.draw("lens.png", lambda: _lens_png(context.spec, lens))
@@ -165,7 +163,9 @@ def require_fit_in_stock(context: StageContext, lens: Heightfield) -> None:
 
 
 def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, float], None]:
-    """Join the phases of a design, each of which goes from 0 to 1, into one way from 0 to 1: by the time they take."""
+    """Combine the phases of a design, each of which goes from 0 to 1, into one progress from 0 to 1, weighted by their
+    times.
+    """
     lengths = {"transport map": 1.0, "corrections": 0.8 * spec.optics.corrections, "polish": POLISH_SHARE}
     if spec.optics.method == "paper":
         lengths = {"flow": 0.9, "surface": 0.1}
@@ -174,11 +174,11 @@ def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, 
     ends = dict(zip(lengths, accumulate(lengths.values()), strict=True))
     whole = sum(lengths.values())
 
-    def tell(phase: str, share: float) -> None:
+    def report_share(phase: str, share: float) -> None:
         if phase in ends:
             on_progress((ends[phase] - (1.0 - share) * lengths[phase]) / whole)
 
-    return tell
+    return report_share
 
 
 def _report_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:

@@ -1,4 +1,4 @@
-"""The stage that shines light through the lens: scores and pictures of what it paints."""
+"""The stage that simulates light through the lens: scores and pictures of the result."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 
 def run_caustic(context: StageContext) -> None:
-    """Simulate light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
-    caustic.png, comparison.png, through-focus.png, and light.bin for the operator page.
+    """Simulate the light of the perfect lens, after its finish if there is one: scores and tolerances into report
+    `optics`; caustic.png, comparison.png, through-focus.png, and light.bin for the operator page.
     """
     heightfield = surface_in_light(context.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(context.spec))
     target = context.receive(MAP, arrays.load_target)
@@ -82,7 +82,7 @@ def save_light(
     context: StageContext, name: str, surface: Heightfield, target: Array, *, slopes: Array | None = None
 ) -> None:
     """Save the surface with the light of the job for the operator page; slopes: by which it is off."""
-    from service.job.page_data.surface import light_bytes  # what it stands on is slow to import
+    from service.job.page_data.surface import light_bytes  # its dependencies are slow to import
 
     bench, viewed_from = bench_of(context.spec), context.spec.optics.viewed_from
     context.save(name, light_bytes(surface, bench, white=float(target.max()), viewed_from=viewed_from, slopes=slopes))
@@ -93,7 +93,7 @@ def _shape(target: Array) -> tuple[int, int]:
 
 
 def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
-    # what it stands on is slow to import
+    # its dependencies are slow to import
     from service.job.report.figures.wall import comparison_png, through_focus_png
 
     white = float(target.max())
@@ -160,7 +160,7 @@ def _report_caustic(context: StageContext, in_focus: Caustic, score: CausticScor
 
 
 def _report_without_size(context: StageContext, score: CausticScore) -> None:
-    """Report what the lens itself is worth, where the size of the source is most of what is missing."""
+    """Report the quality of the lens itself if most of the loss comes from the size of the source."""
     context.report["optics"]["from_a_point_source"] = plain(asdict(score))
 
 

@@ -1,5 +1,4 @@
-"""What a worker asks of a stage's process, and what comes back: plain values that survive JSON, importable without
-arrays."""
+"""The order to a stage's process, and its result: plain values that survive JSON, importable without arrays."""
 
 from __future__ import annotations
 
@@ -68,7 +67,7 @@ class StageOrder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageResult:
-    """outputs: the files it made, by name; report, notes: what this stage alone adds to them."""
+    """outputs: the files it made, by name; report, notes: this stage's own additions."""
 
     outputs: dict[str, FileRef]
     report: dict[str, Any]

@@ -1,7 +1,8 @@
-"""Importing this imports what the lens is computed with, so that a process forked afterwards starts at once.
+"""Importing this module imports the libraries that compute the lens, so that a process forked afterwards starts at
+once.
 
-`LATER` is what other stages need, piece by piece, to be imported when there is time. Nothing of this starts a
-thread or compiles anything.
+`LATER` lists modules of other stages, to be imported piece by piece when there is time. None of them starts a thread or
+compiles anything.
 """
 
 from __future__ import annotations

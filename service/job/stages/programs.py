@@ -53,7 +53,7 @@ _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 def run_pass(context: StageContext) -> None:
     """Write one program, then check it from its text; its row of report `passes`, and the stock it leaves.
 
-    FailedError with the faults where it does not pass; the folder, and the program with it, are then removed.
+    FailedError with the faults if it does not pass; the folder, and the program with it, are then removed.
     """
     heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     spec, stock = cam_passes_of(context.spec)[context.number - 1], cam_stock_of(context.spec)
@@ -68,7 +68,7 @@ def run_pass(context: StageContext) -> None:
     written = _write(context, spec, heightfield, stock_top)
     verdict = _check(context, [part.file for part in written], spec, heightfield, stock_top)
     rest_follows = any(later.where == "rest" for later in context.spec.passes[context.number :])
-    notes = () if rest_follows else verdict.notes  # what is left here is taken there
+    notes = () if rest_follows else verdict.notes  # the rest pass removes what is left here
     of_finish = (*notes, *_of_coarse_steps(context.job, spec), *_of_parts(written)) if spec.finishes else ()
     for sentence in (*of_finish, *_of_starving(context.machine, spec, verdict)):
         context.note("passes", Phrase("{file}: {sentence}", file=written[0].file, sentence=sentence))
@@ -152,7 +152,7 @@ def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[Phrase]:
 
 
 def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[Phrase]:
-    """Yield what the raster of heights does to the light, where it can be seen.
+    """Yield warnings about the effect of the raster of heights on the light, if it is visible.
 
     Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
     the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
@@ -171,7 +171,7 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[Phrase]:
 
 
 def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
-    """Yield what feed the link carries, and what would help, where the mill stands waiting for lines."""
+    """Yield the feed that the link can carry, and remedies, if the mill has to wait for lines."""
     if verdict.starved_s < STARVED_SHARE * verdict.time_s:
         return
     carried, moving_s = 60 * verdict.path_length_mm / verdict.time_s, verdict.time_s - verdict.starved_s
@@ -227,9 +227,7 @@ def _write(
 def write_parts(
     folder: Path, name_of: Callable[[int | None], str], parts: Iterable[Iterable[bytes]]
 ) -> list[WrittenProgram]:
-    """Return the programs of a pass; name_of: their files, by the number of the part, or None where there is but
-    one.
-    """
+    """Return the programs of a pass; name_of: their files, by the number of the part, or None if there is only one."""
     names = map(name_of, count(1))
     written = [write_program(folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
     if len(written) == 1:
@@ -239,7 +237,7 @@ def write_parts(
 
 
 def describe_parts(written: Sequence[WrittenProgram]) -> dict[str, Any]:
-    """Return what a row of the report says of the programs of a pass as files."""
+    """Return the figures of a pass's program files for its row of the report."""
     return {
         **asdict(written[0]),
         **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
@@ -247,7 +245,7 @@ def describe_parts(written: Sequence[WrittenProgram]) -> dict[str, Any]:
 
 
 def require_passed(called: str, check: Callable[[], Check]) -> Check:
-    """Return the verdict of a check; FailedError where it finds faults, or the text cannot be read."""
+    """Return the verdict of a check; FailedError if it finds faults, or the text cannot be read."""
     try:
         verdict = check()
     except ProgramError as error:
@@ -258,9 +256,7 @@ def require_passed(called: str, check: Callable[[], Check]) -> Check:
 
 
 def trace_of(job: ResolvedJob) -> tuple[ToolPath, ...]:
-    """Return the way around block and lens at the safe height, for a job's first program; nothing where not asked
-    for.
-    """
+    """Return the path around block and lens at the safe height, for a job's first program; empty if not requested."""
     spec, machine = job.spec, job.machine
     if not machine.trace_outline:
         return ()

@@ -1,4 +1,4 @@
-"""One stage in a process of its own: its inputs come from the artifact store, its outputs go there."""
+"""Runs one stage in a separate process: its inputs come from the artifact store, and its outputs go there."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _PICTURE = ".picture"  # the person's own file
 def run_order(
     order: StageOrder, store: Store, on_progress: Callable[[float], None], *, plans: Path | None = None
 ) -> StageResult:
-    """Do the whole work of a stage; returns what it made once all of it is in the store. plans: of `StageContext`.
+    """Do the whole work of a stage; return its result once all of it is in the store. plans: of `StageContext`.
 
-    JobError in words that name files as the person knows them. The scratch folder is gone afterwards, come what may.
+    JobError in words that name files as the person knows them. The scratch folder is removed in every case.
     """
     begun = time.perf_counter()
     stage, scratch = stage_of(order.stage), Path(order.scratch)
@@ -75,7 +75,7 @@ def _make_context(
 
 
 def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[str]:
-    """Return the files that the stage reads, put into the scratch folder; their names there."""
+    """Fetch the files that the stage reads into the scratch folder; return their names there."""
     wanted = {name: order.inputs[name].sha256 for name in reads(order.stage, order.inputs)}
     if stage.picture:
         wanted[_PICTURE] = order.image_sha256
@@ -120,7 +120,9 @@ def _scratch_folder(scratch: Path) -> Iterator[None]:
 
 @contextmanager
 def _hide_paths(scratch: Path) -> Iterator[None]:
-    """Replace paths in errors, which name files, not their folder; damage in the store is no fault of the person."""
+    """Replace paths in errors, which should name files but not their folder; damage in the store is not the person's
+    fault.
+    """
     try:
         yield
     except SpecError:

@@ -2,11 +2,11 @@
 
 Theory of operation: the key of a stage is the hash of everything its outputs can depend on: our sources that it uses,
 the versions of the libraries, its part of the spec, and the content of the files it reads. Two jobs with an equal key
-have equal outputs, so that one of them need not be computed. All that a stage's function looks at must therefore stand
-in its row; a test runs each stage under specs that differ in everything else and wants the same bytes.
+have equal outputs, so that one of them need not be computed. So everything that a stage's function reads must be in its
+row; a test runs each stage under specs that differ in everything else and requires the same bytes.
 
-Nothing here imports arrays: the API and the worker plan, only a stage's process computes. How far a job has come is
-found here for a folder of the command line and for a job of the server alike.
+Nothing here imports arrays: the API and the worker only plan, and a stage's process computes. The progress of a job is
+determined here, both for a folder of the command line and for a job of the server.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _PROGRAMS = ("machine.step_mm", "machine.whole_steps", "finishes", *_LIMITS, *_S
 _ALL_PROGRAMS = ("pass-*-*",)
 MILLED_S_PER_M = 0.025
 POLISH_S = 20.0  # of 512 x 512 pixels
-REST_SHARE = 0.1  # of the lens, at a guess, that a rest pass goes over
+REST_SHARE = 0.1  # share of the lens that a rest pass covers; a guess
 PLAN_S = 12.0
 AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
@@ -73,7 +73,7 @@ class Stage:
     spec     : dotted keys of `facts_of` that it depends on; "" is all of them
     picture  : reads the person's picture itself
     sheet    : states the names of all files and of the picture, and the hashes of the programs
-    parts    : what it times, by how the names begin, with the share of its time
+    parts    : the parts that it times, by the beginnings of their names, with their shares of its time
     number   : of the pass, from 1; 0 for all others
     """
 
@@ -222,8 +222,8 @@ _ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _WITNESS, _CUT_OUT, *_
 
 
 def plan(spec: JobSpec) -> tuple[str, ...]:
-    """Return the names of a job's stages, in order. Where the passes are still to be planned it is those of usual ones,
-    and known for good after the stage `passes`: see `with_plan`.
+    """Return the names of a job's stages, in order. If the passes are still to be planned, the names are those of
+    typical passes; they are final after the stage `passes`: see `with_plan`.
     """
     passes = (f"pass-{number}" for number in range(1, len(_rows(spec)) + 1))
     before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
@@ -239,7 +239,7 @@ def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
 
 
 def stage_of(name: str) -> Stage:
-    """Return the row of a stage; KeyError where there is none."""
+    """Return the row of a stage; KeyError if there is none."""
     kind, _, number = name.partition("-")
     if kind != "pass" or not number.isdecimal():
         return _ROWS[name]
@@ -247,7 +247,9 @@ def stage_of(name: str) -> Stage:
 
 
 def _pass(number: int) -> Stage:
-    """Return the stage of a pass, which cuts what the pass before has left. The first also judges all balls' fit."""
+    """Return the stage of a pass, which cuts the stock that the pass before has left. The first also checks that all
+    balls fit.
+    """
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
         tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
@@ -272,12 +274,12 @@ def shares(spec: JobSpec) -> dict[str, float]:
 
 
 def usual_seconds(spec: JobSpec) -> dict[str, float]:
-    """Return what each stage took on two cores, on a 512 x 512 photograph; passes by the length of their rows: the
-    first metres cost most, since samples of long passes are limited.
+    """Return the time of each stage on two cores for a 512 x 512 photograph. Passes are estimated by the length of
+    their rows; the first metres cost most, because samples of long passes are limited.
     """
     pixels = spec.image.pixels * spec.pixel_rows / 512**2
     light = spec.optics.light
-    beams = 4.0 if light.size_deg or light.size_mm else 1.0  # most of the time goes to simulated light
+    beams = 4.0 if light.size_deg or light.size_mm else 1.0  # simulated light takes most of the time
     descent_s = POLISH_S if spec.optics.polish or spec.finish.finishes else 0.0
     method_s = (1.0 + 0.8 * spec.optics.corrections + descent_s) * beams
     method_s = method_s if spec.optics.method == "transport" else 30.0
@@ -355,7 +357,7 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     process = spec.finish.process
     facts["finish_process"] = None if process == NONE else repr(job.figures.processes.get(process))
     facts["finishes"] = spec.finish.finishes
-    facts["witness"] = facts["finish"].pop("witness")  # which no lens and no light depends on
+    facts["witness"] = facts["finish"].pop("witness")  # neither lens nor light depends on it
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(job.machine)
     facts["tools"] = [asdict(tool) for tool in job.figures.tools] if spec.to_be_planned else None
@@ -384,7 +386,7 @@ def part_of(facts: Any, key: str) -> Any:
 
 @cache
 def libraries() -> dict[str, str]:
-    """Return the versions of what the numbers and pictures come from."""
+    """Return the versions of the libraries that make the numbers and pictures."""
     return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
 
 
@@ -397,14 +399,14 @@ class JobSoFar:
     notes: dict[str, list[str]] = field(default_factory=dict)
 
     def stages(self) -> Iterator[str]:
-        """Yield every stage in order, each once the one before has been added. Planning changes those to come only."""
+        """Yield every stage in order, each after the one before has been added. Planning only changes later stages."""
         done = 0
         while done < len(stages := plan(self.job.spec)):
             yield stages[done]
             done += 1
 
     def add(self, report: Mapping[str, Any], notes: Mapping[str, list[str]]) -> None:
-        """Add what a stage has made."""
+        """Add the result of a stage."""
         self.report = merge_reports((self.report, report))
         self.notes = merge_notes((self.notes, notes))
         self.job = self.job.with_spec(with_plan(self.job.spec, self.report))

@@ -1,8 +1,8 @@
 """The parts of one agent, as its routes see them: the mill from the event loop, and which client key parked which run.
 
-Between the event loop and the mill's own thread nothing has a queue or a pool that could be full: a call waits as a
-future, a stop is counted and written to the port before its coroutine waits for anything. Only what is slow and not the
-mill's has threads.
+Between the event loop and the mill's own thread there is no queue and no pool that could be full: a call waits as a
+future, and a stop is counted and written to the port before its coroutine waits for anything. Only slow work that is
+not the mill's runs in other threads.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from service.processes.files import write_whole
 
 T = TypeVar("T")
 _CALL_S = 60.0
-_SHOWN_S = 0.1  # for the state that a stop leads to: where it takes longer, the events tell of it
+_SHOWN_S = 0.1  # wait for the state after a stop; if it takes longer, the events report it
 _ORDER_S = GRANT_S + 1.0
-START_S = CARRY_OUT_S + 30.0  # beyond the grant only the journal is waited for
+START_S = CARRY_OUT_S + 30.0  # on top of the grant's time, only the journal is waited for
 
 
 class MillAccess:
@@ -44,7 +44,7 @@ class MillAccess:
     def __init__(self, thread: MillThread) -> None:
         self._thread = thread
         self._workers = ThreadPoolExecutor(4, thread_name_prefix="work")
-        self._silence = Timeout(_CALL_S, most_s=_CALL_S)  # of the mill's thread; looked at only when somebody asks
+        self._silence = Timeout(_CALL_S, most_s=_CALL_S)  # of the mill's thread; checked only on request
         self._turns = 0
 
     @property
@@ -59,14 +59,14 @@ class MillAccess:
         return self._thread.snapshot.as_dict()
 
     def is_alive(self) -> bool:
-        """Return whether the mill's thread turns. It needs two looks to say no."""
+        """Return whether the mill's thread runs. It takes two looks to return False."""
         if self._thread.turns != self._turns:
             self._turns = self._thread.turns
             self._silence.restart()
         return not self._silence.is_over
 
     async def call(self, function: Callable[[Mill], T]) -> T:
-        """Have something done that moves nothing."""
+        """Run something in the mill's thread that moves nothing."""
         return await _await_answer(self._thread.submit(function), _CALL_S)
 
     async def order(
@@ -78,15 +78,16 @@ class MillAccess:
         needs_lease: bool = False,
         within_s: float = _ORDER_S,
     ) -> T:
-        """Have an order carried out under its grant, or refused."""
+        """Have an order carried out under its grant; it may be refused."""
         return await _await_answer(
             self._thread.submit(lambda mill: mill.carry_out(doing, act, caller, needs_lease=needs_lease)), within_s
         )
 
     async def halt(self, stop: Stop, caller: Caller) -> None:
-        """Stop the mill. The byte that has left is answer enough: what its thread adds may wait for a disk.
+        """Stop the mill. Once the byte is sent this returns, because the thread's own answer may have to wait for a
+        disk.
 
-        A link without such a byte is stopped by that thread alone: MachineError where it does not answer in STOP_S.
+        A link without such a byte can only be stopped by that thread: MachineError if it does not answer within STOP_S.
         """
         written, future = self._thread.halt(stop, caller)
         waiting = asyncio.wrap_future(future)
@@ -97,7 +98,7 @@ class MillAccess:
             waiting.result()
 
     async def work(self, function: Callable[[], T]) -> T:
-        """Have something slow done that is not the mill's, such as a pre-flight."""
+        """Run slow work that is not the mill's, such as a pre-flight, in another thread."""
         return await asyncio.get_running_loop().run_in_executor(self._workers, function)
 
     def close(self) -> None:
@@ -110,7 +111,7 @@ async def _await_answer(future: Future[T], within_s: float) -> T:
     done, _ = await asyncio.wait({waiting}, timeout=within_s)
     if done:
         return waiting.result()
-    waiting.add_done_callback(lambda late: late.cancelled() or late.exception())  # nobody waits for it any more
+    waiting.add_done_callback(lambda late: late.cancelled() or late.exception())  # no one awaits it any more
     raise no_answer(within_s, taken_back=future.cancel())
 
 
@@ -118,9 +119,10 @@ _MOST = 1000
 
 
 class ClientKeys:
-    """Which client key parked which run: a client that asks again after a lost answer gets its run, not a second one.
+    """Remembers which client key parked which run: a client that asks again after a lost answer gets its run, not a
+    second one.
 
-    One small file in the data folder, replaced whole, so that it holds across a new start of the agent.
+    It is one small file in the data folder, replaced as a whole, so that it survives a restart of the agent.
     """
 
     def __init__(self, path: Path) -> None:
@@ -151,7 +153,7 @@ class Agent:
     audit: AuditLog
 
     def run_preflight(self, program: Path) -> Preflight:
-        """Read a program whole, held against this mill's own settings. Slow: not for the event loop's thread."""
+        """Read a whole program and check it against this mill's own settings. Slow: not for the event loop's thread."""
         settings = self.connector.settings
         facts = run_preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
         demand_blocks(facts, program.stem[:12])

@@ -1,4 +1,4 @@
-"""The agent's HTTP application: the routes behind the guard, every refusal as problem+json; and what is known of the
+"""The agent's HTTP application: the routes behind the guard, every refusal as problem+json; and the routes about the
 mill (/v1/status, /v1/events, /v1/machine).
 """
 

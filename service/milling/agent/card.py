@@ -1,7 +1,7 @@
-"""How programs on this computer find the agent of a mill: its card, agent.json, and its token, both in its folder.
+"""Lets programs on this computer find the agent of a mill: by its card, agent.json, and its token, both in its folder.
 
-The card is there from when the agent listens until its orderly end. After a crash it points to nobody, or to a
-stranger: who reads it must ask whom it meets for the machine's name, and the token in the folder is no other agent's.
+The card exists from when the agent listens until its orderly end. After a crash it may point to nothing, or to another
+program, so a reader must ask that program for the machine's name. The token in the folder is valid for no other agent.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class AgentCard:
 
 
 def read_card(folder: Path) -> AgentCard | None:
-    """Read the card in this folder; None where there is none that can be read."""
+    """Read the card in this folder; None if there is no readable one."""
     try:
         values: Any = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
         card = AgentCard(**{name: values[name] for name in AgentCard.__slots__})
@@ -50,7 +50,9 @@ def read_card(folder: Path) -> AgentCard | None:
 
 @contextlib.contextmanager
 def announce(folder: Path, *, machine: str, address: tuple[str, int], token_file: Path) -> Iterator[None]:
-    """Keep the card there while the block runs. A disk that refuses costs the server's finding us, not the mill."""
+    """Keep the card in place during the `with` block. If the disk refuses, the server cannot find us, but the mill
+    still works.
+    """
     card = AgentCard(
         machine=machine,
         url=agent_url(*address),
@@ -65,7 +67,7 @@ def announce(folder: Path, *, machine: str, address: tuple[str, int], token_file
         yield
     finally:
         with contextlib.suppress(OSError):
-            (folder / CARD_FILE).unlink(missing_ok=True)  # ours: the folder has been ours all the time
+            (folder / CARD_FILE).unlink(missing_ok=True)  # it is ours: we have held the folder all the time
 
 
 def agent_url(host: str, port: int) -> str:
@@ -79,7 +81,7 @@ _SHORTEST = 16
 
 
 def read_token(path: Path) -> str:
-    """Read the token a person keeps in a file; InputError where it is missing or too short to be one."""
+    """Read the token a person keeps in a file; InputError if it is missing or too short to be one."""
     try:
         others = path.stat().st_mode & 0o077
         token = path.read_text(encoding="ascii").strip()
@@ -101,7 +103,7 @@ def read_token(path: Path) -> str:
 def make_token(folder: Path) -> tuple[str, Path]:
     """Return the token of this data folder, made on first use and readable by its owner only.
 
-    Of several agents that start at once all have the first one's: it is there as a whole or not at all.
+    If several agents start at once, all get the first one's token, because the file appears complete or not at all.
     """
     path = keep_private(folder) / TOKEN_FILE
     draft = path.with_name(f".{TOKEN_FILE}.{secrets.token_hex(4)}")

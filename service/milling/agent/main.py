@@ -1,7 +1,7 @@
-"""Starts and stops the agent: its address first, then the folder, then the port, and the mill's thread last.
+"""Starts and stops the agent. It starts with its address, then the folder, then the port, and the mill's thread last.
 
 So a second agent ends in one clear line before anything has been sent to a mill. A stop (SIGTERM, SIGINT, SIGHUP)
-while the mill moves holds it first; only when it stands, or cannot be told, does the process end.
+while the mill moves holds it first; the process ends only when the mill stands, or when it cannot be reached.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CatchStop = Callable[[], AbstractContextManager[asyncio.Event]]
 
 
 def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: CatchStop | None = None) -> None:
-    """Serve until told to stop: by a signal, or by what else `catch_stop` listens to."""
+    """Serve until a signal, or another event that `catch_stop` listens to, ends it."""
     go_first()
     with contextlib.ExitStack() as stack:
         allow_open_files(_FILES)
@@ -70,7 +70,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
-    """Bind a listening address of our own; InputError where another process has it."""
+    """Bind a listening address of our own; InputError if another process has it."""
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
@@ -91,7 +91,7 @@ def bound_socket(host: str, port: int) -> socket.socket:
 
 
 def _open_first_link(connector: Connector, url: str) -> None:
-    """Open the port now. One that is busy or makes no sense ends the agent; one that is not there yet is waited for."""
+    """Open the port now. A busy or invalid port ends the agent; a missing one is waited for."""
     try:
         connector.open_now()
     except PortError as error:
@@ -167,10 +167,12 @@ class _Server(HttpServer):
 
 @contextlib.contextmanager
 def _catch_stop_signals() -> Iterator[asyncio.Event]:
-    """Yield an event that each signal that stops the agent sets; the handlers from before come back at the end."""
+    """Yield an event that every signal that stops the agent sets; restore the previous handlers at the end."""
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     found = {kind: signal.getsignal(kind) for kind in _STOPPING}
-    before = {kind: handler for kind, handler in found.items() if handler is not signal.SIG_IGN}  # nohup means it
+    before = {
+        kind: handler for kind, handler in found.items() if handler is not signal.SIG_IGN
+    }  # a signal ignored by nohup stays ignored
     for kind in before:
         loop.add_signal_handler(kind, stop.set)
     try:

@@ -1,7 +1,7 @@
-"""The agent's own copies of programs, by content: a name is the SHA-256 of what the file holds.
+"""The agent's own copies of programs, by content: the name is the SHA-256 of the file's contents.
 
-A program comes in pieces, is hashed as it comes and gets its name only when it is whole, right and on disk. Disk work
-happens in a thread, so that a hold never waits for a disk.
+A program arrives in pieces, is hashed as it arrives, and gets its name only when it is complete, correct and on disk.
+Disk work happens in a thread, so that a hold never waits for a disk.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from phrases.phrase import Phrase
 from service.http.problems import Problem
 
 _PIECE_BYTES = 1 << 20
-_SPARE_BYTES = 64 << 20  # for the journal: a program must not be the last straw
+_SPARE_BYTES = 64 << 20  # reserved for the journal: a program must not fill the disk
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _SUFFIX, _PART = ".nc", ".part"
 _WAIT_S = 30.0
@@ -48,7 +48,7 @@ def valid_sha256(text: str) -> str:
 
 
 class ProgramStore:
-    """Programs in one folder, which this process has to itself."""
+    """Programs in one folder, which only this process uses."""
 
     def __init__(self, folder: Path, *, max_bytes: int) -> None:
         self._folder = folder
@@ -58,7 +58,7 @@ class ProgramStore:
             abandoned.unlink(missing_ok=True)
 
     def path_of(self, sha256: str) -> Path:
-        """Return where the program lies; a Problem where there is none."""
+        """Return where the program lies; a Problem if there is none."""
         self.entry(sha256)
         return self._path(sha256)
 
@@ -84,7 +84,7 @@ class ProgramStore:
     async def receive(
         self, sha256: str, pieces: AsyncIterator[bytes], *, announced_bytes: int | None
     ) -> tuple[StoredProgram, bool]:
-        """Take a program in; returns it and whether it is new. One that is here already is not written again."""
+        """Receive a program; return it and whether it is new. An existing one is not written again."""
         valid_sha256(sha256)
         if await asyncio.to_thread(self._path(sha256).exists):
             async for _ in pieces:  # a client that is still sending could not read an early answer

@@ -1,9 +1,9 @@
-"""What happens at the mill, told: to the readers of the event stream, and to a file that outlives the ring of the log.
+"""Reports events at the mill: to the readers of the event stream, and to a file that lasts longer than the log's ring.
 
-The mill's thread is watched by a thread, which hands snapshots to the event loop at most five times a second. The file
-says who ordered what, when, from where, and what came of it: lines of JSON beside the journal, each with a number that
-goes on across starts. A thread of its own writes, so that neither the mill nor its readers wait for this disk; the
-oldest file goes when there are `_MOST_FILES`.
+A thread watches the mill's thread and hands snapshots to the event loop at most five times a second. The file records
+who ordered what, when, from where, and with what result: lines of JSON beside the journal, numbered across restarts.
+Another thread writes it, so that neither the mill nor its readers wait for this disk. The oldest file is deleted when
+there are `_MOST_FILES`.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class AuditLog:
         while (entry := self._entries.get()) is not None:
             self._number += 1
             line = json.dumps({**entry.as_dict(), "number": self._number}, separators=(",", ":"))
-            with contextlib.suppress(OSError):  # a full disk: the journal says so, and holds the mill
+            with contextlib.suppress(OSError):  # a full disk: the journal reports that, and holds the mill
                 self._append(line)
 
     def _append(self, line: str) -> None:
@@ -98,7 +98,7 @@ _LEAST_GAP_S = 0.2
 
 
 class SnapshotFeed:
-    """A thread that waits for changes and hands snapshots to the event loop, which tells the readers."""
+    """A thread that waits for changes and hands snapshots to the event loop, which sends them to the readers."""
 
     def __init__(self, thread: MillThread, loop: asyncio.AbstractEventLoop, hub: Hub[Reader], audit: AuditLog) -> None:
         self._thread = thread
@@ -123,13 +123,13 @@ class SnapshotFeed:
                 continue
             version = snapshot.version
             try:
-                self._loop.call_soon_threadsafe(self._tell, snapshot)
+                self._loop.call_soon_threadsafe(self._publish, snapshot)
             except RuntimeError:  # the loop has ended
                 return
             self._ended.wait(_LEAST_GAP_S)
 
-    def _tell(self, snapshot: MillSnapshot) -> None:
-        """Publish on the event loop: first what has happened since, then how things stand."""
+    def _publish(self, snapshot: MillSnapshot) -> None:
+        """Publish on the event loop: first the new events, then the state."""
         for entry in snapshot.events:
             if entry.number > self._last_event:
                 self._last_event = entry.number
@@ -139,5 +139,5 @@ class SnapshotFeed:
 
 
 def status_of(snapshot: MillSnapshot) -> dict[str, object]:
-    """Return the snapshot without its events, which go out one by one."""
+    """Return the snapshot without its events, which are sent one by one."""
     return {key: value for key, value in snapshot.as_dict().items() if key != "events"}

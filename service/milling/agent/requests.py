@@ -1,7 +1,8 @@
-"""What a request must show the agent (a bearer token, and a Host header that no web page can make up), and what it
-says: whose it is, as the job server tells in headers, and its body.
+"""Checks and reads requests to the agent: the bearer token, a Host header that no web page can forge, the caller, whom
+the job server names in headers, and the body.
 
-The server is trusted with names and places, as it holds the agent's token; they are for the log and decide nothing.
+The server is trusted with names and origins, because it has the agent's token; they only go to the log and decide
+nothing.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def read_caller(request: Request) -> Caller:
 
 
 def read_control(request: Request) -> str:
-    """Return the secret that the holder of control shows; "" where there is none."""
+    """Return the secret of the holder of control; "" if there is none."""
     return request.headers.get(CONTROL, "")[:_LONGEST]
 
 

@@ -1,4 +1,4 @@
-"""What an agent is started with, and where a mill's journal lives."""
+"""The settings of an agent, and the folder of a mill's journal."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from service.processes.files import keep_private
 class AgentSettings:
     """machine is the profile's name; port_url overrules the profile's own port (None: as the profile says).
 
-    token_path : where the token lies, for the person to read; None when it was given by --token-file
-    token_file : where the token lies in any case
+    token_path : file of the token, shown to the person; None if it was given by --token-file
+    token_file : file of the token in either case
     """
 
     machine: str
@@ -46,9 +46,9 @@ def state_home() -> Path:
 
 
 def mill_folder(machine: str, *, own_port: str | None, port_url: str) -> Path:
-    """Return where journal and programs of one mill live, the same for `mill` and `stream`.
+    """Return the folder of one mill's journal and programs, the same for `mill` and `stream`.
 
-    A profile that names its port is one certain mill: its name. A general profile serves many: the port's.
+    It is named after the profile if that names a port, because it then stands for one mill; otherwise after the port.
     """
     if not port_url or (own_port is not None and stable_name(own_port) == port_url):
         return state_home() / machine
@@ -62,7 +62,7 @@ def port_slug(url: str) -> str:
 
 @contextlib.contextmanager
 def report_disk_errors(folder: Path) -> Iterator[None]:
-    """Raise FailedError, one line that names the folder, for what the disk refuses when it is taken into use."""
+    """Turn errors of the disk, when the folder is first used, into FailedError: one line that names the folder."""
     try:
         yield
     except OSError as error:
@@ -70,7 +70,7 @@ def report_disk_errors(folder: Path) -> Iterator[None]:
 
 
 def _refuse_foreign_bind(host: str, token_file: Path | None, *, behind_proxy: bool) -> None:
-    """Raise InputError where the agent would be reachable from elsewhere without TLS, or with a token nobody else
+    """Raise InputError if the agent would be reachable from elsewhere without TLS, or with a token that no one else
     knows.
     """
     if is_loopback(host):
@@ -93,7 +93,9 @@ def make_agent_settings(
     token_file: Path | None,
     behind_proxy: bool = False,
 ) -> AgentSettings:
-    """Check and complete what the command line gave. A token always guards the mill: without a file one is made."""
+    """Check and complete what the command line gave. A token always protects the mill: if no file is given, a token is
+    made.
+    """
     _refuse_foreign_bind(host, token_file, behind_proxy=behind_proxy)
     if not 0 <= bind_port <= 65535:
         raise InputError(f"--bind-port {bind_port}; allowed: 0 (any free one) to 65535")

@@ -1,5 +1,5 @@
-"""What a person at this terminal says: answers to questions before a run, orders, each under a grant of the moment of
-its key, and stops, at once.
+"""Input of the person at this terminal: answers to questions before a run; orders, each under a grant from the moment
+of its key; and stops, which are sent at once.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def operator_name() -> str:
 
 
 def require_answers(questions: Mapping[str, str], given: frozenset[str]) -> None:
-    """Raise InputError where nobody can be asked and the command line leaves a question open: silence is no answer."""
+    """Raise InputError if nobody can be asked and the command line leaves a question open: silence is no answer."""
     missing: dict[str, list[str]] = {}
     for check, sentence in questions.items():
         if check not in given:
@@ -48,7 +48,7 @@ def require_answers(questions: Mapping[str, str], given: frozenset[str]) -> None
 
 
 def ask_person(questions: dict[str, str]) -> frozenset[str]:
-    """Ask one by one; the first answer that is not yes ends the command with nothing sent."""
+    """Ask one question after the other. The first answer other than yes ends the command with nothing sent."""
     for check, sentence in questions.items():
         print(f"{sentence}? [y/N] ", end="", flush=True)
         answer = sys.stdin.readline()
@@ -63,7 +63,7 @@ _ORIGIN = "terminal"
 
 
 def give_order(thread: MillThread, doing: str, act: Callable[[Mill], T]) -> T:
-    """Have `act` carried out now; MachineError where that is refused. After a later stop, or too late, it never is."""
+    """Have `act` carried out now; MachineError if that is refused. It is never carried out late or after a stop."""
     grant = thread.orders.issue_grant()
     caller = Caller(name=operator_name(), origin=_ORIGIN, grant=grant.word)
     return thread.call(lambda mill: mill.carry_out(doing, act, caller))
@@ -71,5 +71,5 @@ def give_order(thread: MillThread, doing: str, act: Callable[[Mill], T]) -> T:
 
 def stop_mill(thread: MillThread, stop: Stop) -> None:
     """Hold or abort; never waits."""
-    with contextlib.suppress(MachineError):  # its thread has ended: that is seen, and said, by whoever follows it
+    with contextlib.suppress(MachineError):  # its thread has ended: the follower notices and reports that
         thread.halt(stop, Caller(name=operator_name(), origin=_ORIGIN))

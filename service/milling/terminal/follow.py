@@ -1,7 +1,7 @@
 """Watches a run from the terminal until it ends: keys, signals, the display. The mill is driven by its own thread.
 
 Without a terminal a signal is an order to stop for good: hold, then abort from hold. On a terminal Ctrl-C holds and
-asks. Whatever ends this loop, the mill stands, or the last line says plainly that it may not.
+asks. When this loop ends, for any reason, the mill stands, or the last line says plainly that it may still move.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ _FINAL = {
 class Outcome:
     ended: Ended
     snapshot: MillSnapshot
-    cleared: bool  # the controller holds nothing any more, for certain
-    words: str = ""  # why this end was chosen here, where the mill does not say it
+    cleared: bool  # the controller's buffers are certainly empty
+    words: str = ""  # why this end was chosen here, if the mill gives no reason
 
 
 class RunFollower:
@@ -80,12 +80,12 @@ class RunFollower:
         self._screen = screen
         self._keyboard = keyboard
         self._keys = Keys()
-        self._aborting: Timeout | None = None  # until the mill has said that it stands
-        self._settling: Timeout | None = None  # until the controller has said that it holds nothing
+        self._aborting: Timeout | None = None  # until the mill reports standstill
+        self._settling: Timeout | None = None  # until the controller reports empty buffers
         self._asked_s = time.monotonic()
         self._words = ""
         self._protected: tuple[str, ...] = ()
-        self._told = thread.snapshot.events[-1].number if thread.snapshot.events else 0
+        self._last_printed = thread.snapshot.events[-1].number if thread.snapshot.events else 0
         self._feed_asked = (float("-inf"), 100)
         self._was: RunState | None = None
 
@@ -94,7 +94,7 @@ class RunFollower:
             snapshot = self._thread.snapshot
             ended = self._find_end(snapshot)
             self._note_state(snapshot)
-            self._tell_news(snapshot)
+            self._print_news(snapshot)
             self._screen.show(self._make_view(snapshot))
             if ended is not None:
                 return self._make_outcome(ended)
@@ -116,12 +116,12 @@ class RunFollower:
         if before is RunState.HELD and self._was in (RunState.RUNNING, RunState.RECOVERING):
             self._keys.note_running()
 
-    def _tell_news(self, snapshot: MillSnapshot) -> None:
-        """Print what a person should read and would miss in the panel, each once, above it."""
+    def _print_news(self, snapshot: MillSnapshot) -> None:
+        """Print above the panel, once each, the events that a person should not miss."""
         for entry in snapshot.events:
-            if entry.number > self._told and entry.kind in _NEWS:
+            if entry.number > self._last_printed and entry.kind in _NEWS:
                 self._screen.say(f"{entry.kind}: {entry.words}")
-            self._told = max(self._told, entry.number)
+            self._last_printed = max(self._last_printed, entry.number)
 
     def _is_driven(self) -> bool:
         """Return whether the mill's thread answers."""
@@ -137,7 +137,9 @@ class RunFollower:
         return True
 
     def _end_if_nobody_can_resume(self, snapshot: MillSnapshot) -> None:
-        """Abort from hold a run held for want of a journal without a person at the keys, and say why."""
+        """Abort a run from hold, with the reason, if it is held because its journal cannot be written and no one is at
+        the keyboard.
+        """
         run = snapshot.run
         if self._keyboard is not None or self._aborting is not None or run is None or run.state is not RunState.HELD:
             return
@@ -157,7 +159,7 @@ class RunFollower:
         return None
 
     def _is_settled(self, snapshot: MillSnapshot) -> bool:
-        """Return whether the controller holds nothing, or waiting for that is of no use or has lasted long enough."""
+        """Return whether the controller's buffers are empty, or waiting for that is useless or has taken too long."""
         self._settling = self._settling or Timeout(CLEAR_WAIT_S)
         if self._buffers.are_empty(snapshot) or not self._buffers.will_be_empty(snapshot):
             return True
@@ -180,7 +182,7 @@ class RunFollower:
             data = os.read(self._keyboard, 256)
         except OSError:
             data = b""
-        if not data:  # the terminal is gone: nobody watches the mill any more
+        if not data:  # the terminal is gone: no one watches the mill any more
             self._keyboard = None
             return self._carry_out(Wish.ABORT)
         for key in keys_in(data):
@@ -193,7 +195,7 @@ class RunFollower:
             case Wish.HOLD:
                 stop_mill(self._thread, Stop.HOLD)
             case Wish.RESUME:
-                self._tell("resume", Mill.resume)
+                self._give_order("resume", Mill.resume)
             case Wish.FASTER:
                 self._step_feed(_STEP_PERCENT)
             case Wish.SLOWER:
@@ -209,7 +211,7 @@ class RunFollower:
         return None
 
     def _leave(self) -> Ended | None:
-        """Leave the mill held; while it still moves that is not on offer."""
+        """Leave the mill in its hold; refuse while it still moves."""
         run = self._thread.snapshot.run
         if run is None or run.state is not RunState.HELD:
             self._screen.say("the mill does not stand yet; press l again when it does")
@@ -223,16 +225,16 @@ class RunFollower:
         low, high = OVERRIDE_PERCENT
         percent = min(high, max(low, base + change))
         self._feed_asked = (now, percent)
-        self._tell("override", lambda mill: mill.command(Override("feed", percent)))
+        self._give_order("override", lambda mill: mill.command(Override("feed", percent)))
 
-    def _tell(self, doing: str, order: Callable[[Mill], object]) -> None:
+    def _give_order(self, doing: str, order: Callable[[Mill], object]) -> None:
         try:
             give_order(self._thread, doing, order)
         except MachineError as error:
             self._screen.say(f"not done: {error}")
 
     def _protections(self, snapshot: MillSnapshot) -> tuple[str, ...]:
-        """Return the protections of this run; a link that is away for the moment has none."""
+        """Return the protections of this run; the last known ones while the link is away."""
         self._protected = snapshot.protections or self._protected
         return self._protected
 
@@ -260,10 +262,10 @@ class RunFollower:
 
 
 def make_immediate_hold(thread: MillThread) -> Callable[[], None]:
-    """Return what a signal does before anything else: the hold."""
+    """Return the function that a signal calls before anything else: the hold."""
     return lambda: stop_mill(thread, Stop.HOLD)
 
 
 def find_keyboard() -> int | None:
-    """Return the terminal's descriptor, None where there is no terminal on both sides."""
+    """Return the terminal's descriptor; None unless both input and output are a terminal."""
     return sys.stdin.fileno() if sys.stdin.isatty() and sys.stdout.isatty() else None

@@ -1,9 +1,8 @@
-"""What a key or a Ctrl-C means while a program runs, the terminal mode in which keys come one by one, and how signals
-come.
+"""The meaning of keys and Ctrl-C while a program runs, the terminal mode for single keys, and the delivery of signals.
 
-`Keys` is pure: it knows which question stands open and turns each key into one `Wish`. Nothing here talks to the mill.
+`Keys` is pure: it knows the open question and turns each key into one `Wish`. Nothing here talks to the mill.
 
-At Ctrl-C and its kin the hold goes out at once, whatever the main thread is doing. Python runs signal handlers between
+Ctrl-C and similar signals send the hold at once, whatever the main thread is doing. Python runs signal handlers between
 bytecodes of the main thread, which may be stuck writing to a full pipe. So the handlers do nothing; the interpreter
 writes each signal's number into a pipe (`set_wakeup_fd`) that a thread reads. It calls `at_once` and passes the number
 on to the main thread through a second pipe, for its `select`.
@@ -30,7 +29,7 @@ _END = 0
 
 
 class Wish(Enum):
-    """What the person at the terminal wants now."""
+    """The wish of the person at the terminal."""
 
     HOLD = "hold"
     RESUME = "resume"
@@ -42,7 +41,9 @@ class Wish(Enum):
 
 
 class Question(Enum):
-    """What the keys answer at the moment; the text is what the screen shows, one row of 76 characters at most."""
+    """The question that the keys answer at the moment; the text is shown on the screen, one row of at most 76
+    characters.
+    """
 
     NONE = "h hold   r resume   a abort   + - feed   q or Ctrl-C: hold, then ask"
     STOP = "Hold: r resume   a abort   l leave it held and quit"
@@ -56,7 +57,7 @@ _INTERRUPTS = {Question.STOP: "   Ctrl-C again: abort", Question.ABORTING: " Ctr
 class Keys:
     """The state of the dialogue during a run.
 
-    A Ctrl-C holds at any time. It answers a question only where none has come for APART_S.
+    A Ctrl-C holds at any time. It answers a question only if none has come for APART_S.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -66,12 +67,12 @@ class Keys:
 
     @property
     def prompt(self) -> str:
-        """What the keys answer now; of Ctrl-C only where it would count."""
+        """The meanings of the keys now; Ctrl-C is named only if it would count."""
         counts = self._clock() >= self._interrupted_s + APART_S
         return self.question.value + (_INTERRUPTS.get(self.question, "") if counts else "")
 
     def key(self, key: str) -> Wish | None:
-        """Interpret one key; None where it means nothing now."""
+        """Interpret one key; None if it means nothing now."""
         match self.question, key.lower():
             case Question.NONE, "h" | " " | "!":
                 return Wish.HOLD
@@ -94,7 +95,7 @@ class Keys:
             case (Question.STOP, "a") | (Question.ABORT, "y"):
                 self.question = Question.ABORTING
                 return Wish.ABORT
-            case Question.ABORT, "h" | " " | "!":  # whatever stands open, a hold is a hold
+            case Question.ABORT, "h" | " " | "!":  # a hold counts even while a question is open
                 self.question = Question.STOP
                 return Wish.HOLD
             case Question.ABORT, _:
@@ -118,13 +119,13 @@ class Keys:
         return Wish.HOLD
 
     def note_running(self) -> None:
-        """Note that the mill runs again without a key: what a held mill was asked about is void."""
+        """Note that the mill runs again without a key: questions about a held mill are void."""
         if self.question is Question.STOP:
             self.question = Question.NONE
 
 
 def keys_in(data: bytes) -> str:
-    """Return the plain keys in what the terminal sent, without arrows and function keys."""
+    """Return the plain keys in the terminal's input, without arrows and function keys."""
     return _ESCAPE.sub("", data.decode("ascii", errors="ignore"))
 
 
@@ -132,7 +133,7 @@ def keys_in(data: bytes) -> str:
 def single_keys(descriptor: int | None = None) -> Iterator[None]:
     """Read keys at once and unechoed. Ctrl-C stays a signal; Ctrl-Z, Ctrl-\\ and Ctrl-S do nothing.
 
-    Suspended or frozen, this program would let the mill run dry in the middle of a cut, with the spindle on.
+    If this program were suspended or frozen, the mill would run dry in the middle of a cut, with the spindle on.
     """
     descriptor = sys.stdin.fileno() if descriptor is None else descriptor
     before = termios.tcgetattr(descriptor)
@@ -170,9 +171,9 @@ def list_heard_signals() -> list[signal.Signals]:
 
 @contextlib.contextmanager
 def watch_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
-    """Take the signals over; the handlers from before are put back at the end. Main thread only.
+    """Take over the signals, and restore the previous handlers at the end. Main thread only.
 
-    One that is ignored stays so: a run under `nohup` outlives its terminal.
+    An ignored signal stays ignored: a run under `nohup` outlives its terminal.
     """
     kinds = list_heard_signals()
     raw_in, raw_out = os.pipe()

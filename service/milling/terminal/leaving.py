@@ -1,8 +1,8 @@
-"""Whether the controller may still hold lines when this command ends, and what is done so that it does not.
+"""Clears the controller's buffers when this command ends, or warns that they may still hold lines.
 
-Lines that a controller holds are cut by the next cycle start at the machine, after the command has gone: a line known
-to be damaged, too. They are certainly gone when the controller has said its banner since they were sent, or has
-carried out the last line of the program. No other end is silent.
+The next cycle start at the machine, after the command has ended, cuts the lines that a controller still holds, even one
+known to be damaged. They are certainly gone if the controller has sent its banner since they were sent, or has carried
+out the last line of the program. Every other end prints a warning.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STILL_HELD = (
 
 
 class Buffers:
-    """What the controller may hold of what this command has sent. Counts banners: `status.epoch`."""
+    """The lines of this command that the controller may still hold. Counts banners: `status.epoch`."""
 
     def __init__(self, thread: MillThread) -> None:
         self._thread = thread
@@ -44,16 +44,16 @@ class Buffers:
         self._empty = True
 
     def fill(self, run_id: str = "") -> None:
-        """Note that something is about to be sent that moves the mill: a run, or a homing cycle."""
+        """Note that a run or a homing cycle, which moves the mill, is about to be sent."""
         self._epoch, self.run_id = self._thread.snapshot.status.epoch, run_id
         self._empty = False
 
     def mark_empty(self) -> None:
-        """Note that what was sent has been carried out."""
+        """Note that all lines sent have been carried out."""
         self._empty = True
 
     def are_empty(self, snapshot: MillSnapshot | None = None) -> bool:
-        """Return whether it is certain that nothing is held any more."""
+        """Return whether the buffers are certainly empty."""
         snapshot = snapshot or self._thread.snapshot
         run = snapshot.run
         finished = run is not None and run.id == self.run_id and run.state is RunState.FINISHED
@@ -61,11 +61,11 @@ class Buffers:
         return self._empty
 
     def will_be_empty(self, snapshot: MillSnapshot) -> bool:
-        """Return whether the driver is still stopping the mill, and resets it when it stands."""
+        """Return whether the driver is still stopping the mill and will reset it at standstill."""
         return snapshot.status.state in _ON_ITS_WAY
 
     def clear(self) -> bool:
-        """Stop the mill, reset it from standstill, wait for its banner; whether that came."""
+        """Stop the mill, reset it from standstill, wait for its banner; return whether it came."""
         if self.are_empty():
             return True
         stop_mill(self._thread, Stop.ABORT)
@@ -80,9 +80,9 @@ class Buffers:
 
 @contextlib.contextmanager
 def clear_at_the_end(thread: MillThread, next_command: str) -> Iterator[Buffers]:
-    """Stop and clear the mill however the block ends by an error, ours or a signal's, or say loudly that it is not.
+    """If the `with` block ends by any error or signal, stop and clear the mill, or warn loudly that it is not cleared.
 
-    Where anything was under way, say in which state the mill is left and how a run goes on.
+    If anything was under way, print the state in which the mill is left and how to continue a run.
     """
     buffers = Buffers(thread)
     try:
@@ -101,8 +101,8 @@ def clear_at_the_end(thread: MillThread, next_command: str) -> Iterator[Buffers]
 
 
 def is_partly_unknown(status: MillStatus) -> bool:
-    """Return whether a mill that is linked has not reported all of its state: GRBL reports its spindle only now and
-    then.
+    """Return whether a connected mill has not reported all of its state yet: GRBL reports its spindle only at
+    intervals.
     """
     if status.state is MillState.DISCONNECTED:
         return False
@@ -120,7 +120,7 @@ def await_status(thread: MillThread, is_open: Callable[[MillStatus], bool]) -> M
 
 @contextlib.contextmanager
 def ignore_signals() -> Iterator[None]:
-    """Ignore signals inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
+    """Ignore signals in the `with` block: a second Ctrl-C must not interrupt making the mill safe. Main thread only."""
     before = ignore_signals_for_good()
     try:
         yield
@@ -130,7 +130,7 @@ def ignore_signals() -> Iterator[None]:
 
 
 def ignore_signals_for_good() -> dict[signal.Signals, Any]:
-    """Ignore signals from here to the end of the command, its last words included; return the handlers from before."""
+    """Ignore signals from here to the end of the command, including its last lines; return the previous handlers."""
     kinds = [
         kind
         for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)

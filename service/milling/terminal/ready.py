@@ -1,6 +1,6 @@
-"""What must be done before a mill can be sent a program: shown, asked of a person, carried out, waited for; and before
-an interrupted run can go on, in words and blocks. Nothing here moves the mill except a homing cycle that the person
-asks for, and nothing is reset but what the person, or --confirm-position, says.
+"""Prepares a mill for a program: shows what must be done first, asks the person, carries it out and waits for its end.
+Also prepares the recovery of an interrupted run and shows its plan in words and blocks. Nothing here moves the mill
+except a homing cycle that the person asks for, and nothing is reset unless the person, or --confirm-position, says so.
 
 `stream --dry-run`: the controller itself reads the whole program in check mode ($C); nothing moves. It needs no
 journal, so it works on the driver alone, in this thread.
@@ -44,15 +44,15 @@ from service.milling.terminal.confirm import give_order
 from service.milling.terminal.leaving import STILL_HELD, Buffers
 from service.milling.terminal.screen import left_words, place_lines, print_lines
 
-CONNECT_S = 90.0  # the driver gives a link up that tells nothing, sooner, and says why
-_MODE_S = 60.0  # and ends a command that is not answered
+CONNECT_S = 90.0  # the driver gives up a silent link sooner, and says why
+_MODE_S = 60.0  # the driver ends an unanswered command sooner
 _POLL_S = 0.2
 
 
 def run_check_mode(
     driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Callable[[int], None]
 ) -> tuple[str, ...]:
-    """Send all lines in check mode; returns the protections that were active. FailedError names what was refused."""
+    """Send all lines in check mode; return the protections that were active. FailedError names the refused line."""
     driver.connect()
     _poll_until(
         driver, url, CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED)
@@ -75,7 +75,7 @@ def run_check_mode(
 
 
 def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
-    """Check mode on or off, confirmed."""
+    """Switch check mode on or off and wait for the confirmation."""
     command = CheckMode(on)
     failures: list[str] = []
     driver.command(command, allow_always)
@@ -91,7 +91,7 @@ def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
 
 
 def _leave(driver: Driver, url: str) -> None:
-    """Leave check mode, whatever state the stream is in; a controller that cannot be told is named."""
+    """Leave check mode in any state of the stream; warn if the controller cannot be reached."""
     try:
         if driver.progress.streaming:
             driver.abort()
@@ -116,7 +116,9 @@ def _poll_until(driver: Driver, url: str, wait_s: float, is_done: Callable[[tupl
 
 
 def make_unconnected_error(url: str, status: MillStatus) -> NotAControllerError:
-    """Return the error for a link that is neither ready nor given up after so long, with what it waits for."""
+    """Return the error for a link that is still not ready and not given up after this time; it says what the link waits
+    for.
+    """
     detail = f" ({status.detail})" if status.detail else ""
     return NotAControllerError(url, f"the mill is still {status.state.value}{detail}; given up")
 
@@ -124,7 +126,7 @@ def make_unconnected_error(url: str, status: MillStatus) -> NotAControllerError:
 _SOON_S = 10.0
 _RUN_OUT_S = 120.0
 _HOMING_S = 300.0
-_ANSWER_S = 60.0  # the driver ends what is not answered, sooner: it knows how late its answers are
+_ANSWER_S = 60.0  # the driver ends an unanswered command sooner: it knows the delay of its answers
 _TAKEN_S = 4.0  # the driver may still be busy with the reset after an alarm
 _LINK_S = 12.0  # a link on which nothing answers is given up and opened again meanwhile
 _LOOK_S = 0.1
@@ -141,14 +143,14 @@ _BY_OPTION: dict[str, Command] = {"unlock": Unlock(), "position": TrustPosition(
 
 
 def prepare_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
-    """Bring the mill to where a new program can be started; FailedError or InputError say why it is not."""
+    """Make the mill ready for a new program. FailedError or InputError says why it is not ready."""
     did = meet_needs(thread, buffers, lambda: tuple(needs_of_standing_mill(thread.snapshot.status)), person=person)
     if did:
         print_lines(place_lines(thread.snapshot.status))
 
 
 def reset_silent_mill(thread: MillThread, buffers: Buffers) -> None:
-    """Offer a reset where nothing answers; InputError where the person does not want it."""
+    """Offer a reset if nothing answers; InputError if the person declines."""
     print_lines([f"first:      {SILENT}"])
     print("            x reset: it stops whatever the controller does; a mill that moves loses its position")
     print("            anything else: stop here > ", end="", flush=True)
@@ -159,7 +161,7 @@ def reset_silent_mill(thread: MillThread, buffers: Buffers) -> None:
     timeout = Timeout(_SOON_S)
     while not buffers.are_empty() and not thread.snapshot.problem and not timeout.is_over:
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)
-    buffers.mark_empty()  # nothing of a program was sent from here
+    buffers.mark_empty()  # this process has sent no program lines
 
 
 def meet_needs(
@@ -173,7 +175,7 @@ def meet_needs(
 ) -> bool:
     """Meet one need after the other until none is left; return whether anything was done.
 
-    zero_back : the block that puts the work zero back to where the program was cut, "" where nobody knows it
+    zero_back : the block that restores the work zero at which the program was cut; "" if that is not known
     person    : somebody is at the terminal, is asked, and may try again what has failed
     vouched   : --confirm-position was given; without a person nothing is done twice
     """
@@ -196,7 +198,7 @@ def meet_needs(
 
 
 def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
-    """Return what a person may choose from; nothing where it takes hands at the mill."""
+    """Return the commands that a person may choose from; empty if the need must be met by hand at the mill."""
     if need.code == "zero" and zero_back:
         words = f"put the zero back where this program was cut: {zero_back}; nothing moves"
         return [("b", words, SendBlock(zero_back))]
@@ -206,7 +208,7 @@ def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
 
 
 def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
-    """Return which command meets the need: the person's word, never a guess."""
+    """Ask the person which command meets the need; never guess."""
     for key, words, _ in offered:
         print(f"            {key} {words}")
     print("            anything else: stop here > ", end="", flush=True)
@@ -218,9 +220,9 @@ def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
 
 
 def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
-    """Give one command and wait until it has ended; what came of it, in words.
+    """Give one command and wait until it has ended; return its outcome in words.
 
-    Only its own end counts: the mill's state meanwhile is the command's doing and is answered by nothing.
+    Only its own end counts: the command itself changes the mill's state meanwhile, so no state is reacted to.
     """
     if isinstance(command, Reset):
         return _reset(thread, buffers)
@@ -248,7 +250,7 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
 
 
 def _give(thread: MillThread, command: Command, timeout_s: float) -> None:
-    """Give a command; NotAllowedError where the mill does not take it, now or in a moment."""
+    """Give a command; NotAllowedError if the mill does not accept it within a moment."""
     timeout = Timeout(timeout_s)
     while True:
         try:
@@ -269,7 +271,7 @@ def _reset(thread: MillThread, buffers: Buffers) -> str:
 
 
 def _settle(thread: MillThread) -> None:
-    """Wait until the driver, after a reset or an alarm, has asked anew who is there."""
+    """Wait until the driver has identified the controller again after a reset or an alarm."""
     timeout = Timeout(_ANSWER_S)
     thread.call(lambda _: None)
     while not (snapshot := thread.snapshot).connected and not timeout.is_over:
@@ -284,7 +286,7 @@ def _await_report(thread: MillThread, need: Need) -> None:
 
 
 def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
-    """Wait for a link, or for a mill that carries out what it holds. Ctrl-C meanwhile stops the mill."""
+    """Wait for a link, or until a mill has carried out its buffer. Ctrl-C meanwhile stops the mill."""
     wait_s = _ANSWER_S
     if need.code == "wait":
         wait_s = _RUN_OUT_S
@@ -300,7 +302,7 @@ def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
 
 
 def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunReport:
-    """Find the latest run of this very program that did not come to its end."""
+    """Find the latest run of this very program that was not completed."""
     runs = [run for run in thread.snapshot.runs if run.program == facts.sha256 and run.state in RECOVERABLE]
     if not runs:
         raise InputError(
@@ -310,7 +312,7 @@ def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) ->
 
 
 def prepare_plan(thread: MillThread, buffers: Buffers, run: RunReport, *, person: bool, vouched: bool) -> RecoveryPlan:
-    """Return the plan, once all that must come first is done; FailedError names what is not.
+    """Return the plan once all its preconditions are met; FailedError names one that is not.
 
     person : somebody is at the terminal and can be asked     vouched : --confirm-position was given
     """

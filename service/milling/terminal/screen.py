@@ -1,5 +1,5 @@
-"""How a run looks: a live panel on a terminal, a plain line every few seconds otherwise; and what `stream` prints
-before and after a run: the mill, the program, a fault and the way on.
+"""How a run is displayed: a live panel on a terminal, otherwise a plain line every few seconds. Also what `stream`
+prints before and after a run: the mill, the program, a fault and how to continue.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class StreamView:
 
     @property
     def over(self) -> bool:
-        """Nothing more is to come of this run."""
+        """The run has ended."""
         return self.run_state in ("finished", "aborted", "interrupted")
 
     @property
@@ -218,7 +218,7 @@ def print_lines(lines: Iterable[str]) -> None:
 
 
 def stop_lines(heard: Sequence[signal.Signals]) -> Iterator[str]:
-    """Yield how a run without a keyboard is stopped. heard: the signals that stop it, which may be none."""
+    """Yield lines that say how to stop a run without a keyboard. heard: the signals that stop it; may be empty."""
     commands = [f"`kill -{kind.name.removeprefix('SIG')} {os.getpid()}`" for kind in heard]
     ways = ", ".join(("Ctrl-C", *commands) if signal.SIGINT in heard else commands)
     if ways:
@@ -229,7 +229,7 @@ def stop_lines(heard: Sequence[signal.Signals]) -> Iterator[str]:
 
 
 def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts: DriverFacts | None) -> Iterator[str]:
-    """Yield the machine, where it is, and how the link is guarded."""
+    """Yield lines about the machine, its position, and how its link is protected."""
     state = f"{status.state.value}{f' ({status.detail})' if status.detail else ''}"
     yield f"mill:       {status.controller or 'unknown controller'} on {url}, {state}"
     yield from place_lines(status)
@@ -241,7 +241,7 @@ def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts
 
 
 def place_lines(status: MillStatus) -> Iterator[str]:
-    """Yield where the mill is, and how sure that is."""
+    """Yield lines about the mill's position and whether it can be trusted."""
     sure = "sure" if status.position_trusted else "not sure: not homed, and nobody has said that it is right"
     yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {sure}"
     offset = "unknown" if status.work_offset_mm is None else position_words(status.work_offset_mm)
@@ -249,14 +249,14 @@ def place_lines(status: MillStatus) -> Iterator[str]:
 
 
 def spindle_lines(profile: MachineProfile) -> Iterator[str]:
-    """Yield what becomes of the spindle while nobody cuts."""
+    """Yield lines about what the spindle does while nothing is cut."""
     held, lost = profile.spindle.sentences
     yield f"in a hold:  {held}"
     yield f"link lost:  {lost}"
 
 
 def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
-    """Yield what the program is and wants."""
+    """Yield lines about the program and what it needs."""
     yield f"program:    {path.name}: {facts.lines:,} lines, {facts.bytes:,} bytes, about {duration(facts.time_s)}"
     if facts.bounds_mm is not None:
         pairs = zip(_AXES, facts.bounds_mm.least_mm, facts.bounds_mm.most_mm, strict=True)
@@ -274,7 +274,7 @@ def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
 
 
 def recover_command(program: Path, port: str | None, machine: str) -> str:
-    """Return the exact command that goes on with a run."""
+    """Return the exact command that continues a run."""
     words = ["causticmill", "stream", str(program)]
     if port is not None:
         words += ["--port", port]

@@ -1,7 +1,7 @@
 """`causticmill stream`: one program on one mill, from pre-flight to the last line, watched from this terminal.
 
-Order: the link, which moves nothing; the program, read whole and held against the controller's own settings; what the
-person should see; and nothing moves before that person, at the terminal or by --yes on the command line, has said so.
+Order: open the link, which moves nothing; read the whole program and check it against the controller's own settings;
+show the person what matters. Nothing moves before the person agrees, at the terminal or by --yes on the command line.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ _POSITION_S = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamOrder:
-    """What the command line asks for. port_given is None where the profile's own port is meant."""
+    """The options of the command line. port_given is None if the profile's own port is meant."""
 
     program: Path
     profile: MachineProfile
@@ -117,7 +117,7 @@ class StoppedError(ServiceError):
 
 
 def stream_program(order: StreamOrder) -> None:
-    """Run the program; returns when it is finished, raises a JobError in every other case."""
+    """Run the program. Return when it is finished; raise a JobError in every other case."""
     _require_answers(order)
     if order.dry_run:
         _run_in_check_mode(order)
@@ -130,7 +130,7 @@ def stream_program(order: StreamOrder) -> None:
 
 
 def _run_on_mill(order: StreamOrder, folder: Path) -> tuple[Outcome, Preflight]:
-    """Run the program and let go of the mill."""
+    """Run the program and release the mill."""
     with (
         _open_mill(order, folder) as (thread, connector),
         clear_at_the_end(thread, order.next_command) as buffers,
@@ -144,12 +144,12 @@ def _run_on_mill(order: StreamOrder, folder: Path) -> tuple[Outcome, Preflight]:
         print_lines(program_lines(order.program, facts))
         prepare = _prepare_recovery if order.recover else _prepare_new_run
         run_id, begin = prepare(thread, buffers, order, facts)
-        ignore_signals_for_good()  # a Ctrl-C held down must not cut the last words off; `_run` watches for it meanwhile
+        ignore_signals_for_good()  # a Ctrl-C held down must not cut off the last lines; `_run` watches for it meanwhile
         return _settle(thread, _run(thread, buffers, order, facts, run_id, begin)), facts
 
 
 def _require_answers(order: StreamOrder) -> None:
-    """Refuse what cannot be asked for here, before anything is done."""
+    """Refuse before anything is done if a question must be asked but cannot be."""
     if order.recover and order.dry_run:
         raise InputError("--recover and --dry-run exclude each other; allowed: one of them")
     if order.position_confirmed and not order.recover:
@@ -166,7 +166,7 @@ def _require_answers(order: StreamOrder) -> None:
 
 
 def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Preflight:
-    """Read the program whole, held against the controller's own figures."""
+    """Read the whole program and check it against the controller's own figures."""
     stage = f"pre-flight of {order.program.name}"
     with _open_reporter() as reporter:
         begun = time.monotonic()
@@ -183,7 +183,7 @@ def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Prefl
 
 
 def _run_in_check_mode(order: StreamOrder) -> None:
-    """Let the controller itself read the program."""
+    """Let the controller itself check the program ($C)."""
     facts = _preflight(order, None)
     print_lines(program_lines(order.program, facts))
     stage = "dry run ($C)"
@@ -209,7 +209,7 @@ def _open_reporter() -> Iterator[Reporter]:
 
 @contextlib.contextmanager
 def _open_mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connector]]:
-    """Open the mill, with its thread running; let go of at the end."""
+    """Open the mill with its thread running; release it at the end."""
     connector = Connector(order.profile, order.port_url)
     reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
     with report_disk_errors(folder):
@@ -221,12 +221,12 @@ def _open_mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, C
         yield thread, connector
     finally:
         with ignore_signals():
-            thread.stop(detach=True)  # all that can be done to make it stand has been done
+            thread.stop(detach=True)  # everything possible has been done to bring it to a standstill
             connector.close_unused()
 
 
 def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
-    """Wait for the handshake; what is wrong with the link ends the command. Where nothing answers, offer one reset."""
+    """Wait for the handshake; a fault of the link ends the command. If nothing answers, offer one reset."""
     booting, timeout = Timeout(_BOOT_S), Timeout(CONNECT_S)
     snapshot, offered = thread.snapshot, find_keyboard() is None
     while not snapshot.connected:
@@ -241,7 +241,7 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
             raise make_unconnected_error(url, snapshot.status)
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
     timeout = Timeout(_POSITION_S)
-    while snapshot.status.work_mm is None and not timeout.is_over:  # some links never tell
+    while snapshot.status.work_mm is None and not timeout.is_over:  # some links never report it
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
     return snapshot
 
@@ -249,7 +249,7 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
 def _prepare_new_run(
     thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Park a run, and return how it begins once the person has said that all is as it should be."""
+    """Park a run, and return the function that starts it after the person has confirmed that all is in order."""
     run: RunReport = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
     setup = None if order.confirmed else thread.snapshot.setup
     confirmation = _confirm(order)
@@ -259,7 +259,9 @@ def _prepare_new_run(
 def _prepare_recovery(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Plan how the interrupted run of this program goes on, and return how that begins once a person has confirmed."""
+    """Plan the recovery of this program's interrupted run, and return the function that starts it after a person has
+    confirmed.
+    """
     run = find_interrupted_run(thread, facts, order.program)
     person = find_keyboard() is not None
     plan = prepare_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
@@ -268,7 +270,7 @@ def _prepare_recovery(
 
 
 def _confirm(order: StreamOrder) -> Confirmation:
-    """Return a person's word for each check: from the command line, else from the terminal, never from silence."""
+    """Return a person's confirmation of each check, from the command line or the terminal, never from silence."""
     asked = {check: words for check, words in order.questions.items() if check not in order.given}
     return Confirmation(operator=operator_name(), checks=order.given | ask_person(asked))
 
@@ -296,7 +298,7 @@ def _run(
 
 
 def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
-    """Return the outcome with what is true at the end."""
+    """Return the outcome with the final state."""
 
     def is_open(status: MillStatus) -> bool:
         if outcome.ended is Ended.FINISHED:
@@ -307,7 +309,7 @@ def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
 
 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
-    """Print the last words, and raise the exit code as an error."""
+    """Print the last lines, and raise the exit code as an error."""
     status, run = outcome.snapshot.status, outcome.snapshot.run
     held = () if outcome.cleared else (STILL_HELD,)
     left = (*held, left_words(status), f"to go on: {order.next_command}")

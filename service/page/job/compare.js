@@ -1,4 +1,4 @@
-/** Two jobs beside each other: their milled pictures under one wipe, and all in which they differ. */
+/** Two jobs compared: their milled pictures under one wipe, and a table of all differences. */
 import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
@@ -130,7 +130,7 @@ function specOf(job) {
   return { picture: job.image.sha256.slice(0, 12), ...job.spec, passes: passesOf(job) };
 }
 
-/** [dotted key, value here, value there] of all that is not the same in two values of JSON. */
+/** [dotted key, value here, value there] of all differences between two values of JSON. */
 export function differences(a, b, key = "") {
   const isNested = (value) => value !== null && typeof value === "object";
   if (!isNested(a) || !isNested(b)) return JSON.stringify(a) === JSON.stringify(b) ? [] : [[key, a, b]];

@@ -10,9 +10,9 @@ import { knownMills, sendLink } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink, sheetOf } from "./save.js";
 
-const SEEN = ON_THE_WALL.filter(({ name }) => name !== "target.png"); // from ideal to what will really be seen
+const SEEN = ON_THE_WALL.filter(({ name }) => name !== "target.png"); // from ideal to real
 
-/** {node, update(job, artifacts), free()}; there once the job has succeeded. */
+/** {node, update(job, artifacts), free()}; shown once the job has succeeded. */
 export function endingPart() {
   const shelf = pictureShelf();
   const picture = h("img", { class: "ending-picture", alt: "" }), next = h("div", { class: "stack" });

@@ -1,4 +1,4 @@
-/** What a PSNR means to an eye. */
+/** Words for the visual quality of a PSNR. */
 
 import { t } from "../lib/language.js";
 
@@ -11,12 +11,12 @@ const EYE = [
   [-Infinity, t("hard to recognise")],
 ];
 
-/** Whether one will hardly recognise the picture. */
+/** Whether the picture will be hard to recognise. */
 export function isHard(psnrDb) {
   return psnrDb < EYE.at(-2)[0];
 }
 
-/** What PSNR means to an eye. */
+/** The word for the visual quality of a PSNR. */
 export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
 }

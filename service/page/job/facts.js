@@ -1,4 +1,4 @@
-/** The figures of a job in words, and what to look out for. */
+/** The figures of a job in words, and its warnings. */
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
@@ -59,7 +59,7 @@ export function warningsPart() {
   return { node, update };
 }
 
-/** What stands between backticks as code. */
+/** Shows text between backticks as code. */
 function withCode(text) {
   return text.split("`").map((part, k) => (k % 2 ? h("code", {}, part) : part));
 }

@@ -79,7 +79,7 @@ export function headlines(spec, report, predicted) {
   return found;
 }
 
-/** What one will see once the lens is finished by hand, and before; null if it is not known. */
+/** The likeness after finishing by hand, and before; null if it is not known. */
 function seenByHand(report) {
   const seen = likenessOf(report?.as_finished), milled = likenessOf(report?.as_milled);
   if (seen === undefined) return null;
@@ -109,14 +109,14 @@ export function expertSides(report) {
   return [...finished, [t("as milled"), report?.as_milled], [t("the lens itself"), report?.optics]];
 }
 
-/** What experts compare them by: [[what, of each surface]], "–" where one is not known. */
+/** The figures by which experts compare them: [[what, of each surface]], "–" where one is not known. */
 export function expertFigures(report) {
   const sides = expertSides(report).map(([, side]) => side);
   const known = SCORES.filter(([key]) => sides.some((side) => side?.[key] !== undefined));
   return known.map(([key, what, say]) => [what, ...sides.map((side) => (side?.[key] === undefined ? "–" : say(side[key])))]);
 }
 
-/** The light that all of them hold under; null if a report of old does not say it. */
+/** The light for which all of them hold; null if an old report does not state it. */
 export function lightSentence(report) {
   const words = report?.optics?.light?.words;
   return words ? t`All these figures hold under ${words}.` : null;

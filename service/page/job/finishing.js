@@ -26,7 +26,7 @@ export function finishingPart() {
   return { node, update };
 }
 
-/** [[what, figure]] of the work and of what the wall shows. */
+/** Rows [what, figure] for the work and for the light on the wall. */
 export function finishingRows({ finishing, as_milled: milled, as_finished: finished }) {
   const rows = [], depth = finishing.depth_um;
   if (finishing.minutes != null) rows.push([t("Time, the whole lens"), hours(60 * finishing.minutes)]);
@@ -40,7 +40,7 @@ export function finishingRows({ finishing, as_milled: milled, as_finished: finis
   return rows;
 }
 
-/** What speaks against this finish, as sentences. */
+/** Sentences with the objections to this finish. */
 export function warnings({ finishing, as_milled: milled, as_finished: finished }) {
   const found = [], { minutes, least_minutes: least, most_minutes: most } = finishing, inTime = (time) => hours(60 * time);
   if (finished?.psnr_db < milled?.psnr_db - WORTH_DB)

@@ -1,6 +1,6 @@
-/** What both WebGL2 pictures need. */
+/** Helpers of both WebGL2 pictures. */
 
-/** A program of two shaders; an Error with the compiler's words where they do not fit. */
+/** A program of two shaders; an Error with the compiler's message if they do not link. */
 export function programOf(gl, vertex, fragment) {
   const program = gl.createProgram();
   for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {

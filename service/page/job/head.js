@@ -70,7 +70,7 @@ function presetWords({ preset, passes }) {
   return { recommended: t("passes as recommended"), draft: t("draft"), paper: t("passes of the paper") }[preset] ?? "";
 }
 
-/** The time since when it has its state. */
+/** The time at which it reached its state. */
 function whenWords(job, now) {
   if (job.ended_at) return endWords(job.state, ago(job.ended_at, now));
   if (job.started_at) return t`begun ${ago(job.started_at, now)}`;
@@ -101,7 +101,7 @@ function noticeOf(job) {
   );
 }
 
-/** Lets a person choose a finished job to set beside this one. */
+/** Lets a person choose a finished job for comparison with this one. */
 async function chooseOther(job, app) {
   await runAndReport(async () => {
     const { openJobs } = await import("./choose_job.js");

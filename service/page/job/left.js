@@ -44,7 +44,7 @@ function inHours(from, to) {
   return from === to ? t`about ${from} h left` : t`about ${from} to ${to} h left`;
 }
 
-/** How much longer stages take here than usually; stages that were done before say nothing. */
+/** How much longer stages take here than usual; reused stages do not count. */
 function paceOf(stages) {
   const done = stages.filter(({ state, seconds }) => state === "committed" && seconds !== null);
   const sum = (key) => done.reduce((total, stage) => total + stage[key], TRUST_S);

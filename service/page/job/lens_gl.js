@@ -14,7 +14,7 @@ void main() {
   gl_Position = u_view * vec4(u_upright ? vec3(-v_point.x, v_point.z, v_point.y) : v_point, 1.0);
 }`;
 
-const GLASS = 0.35; // how much of the light is kept back by the block that one looks through
+const GLASS = 0.35; // share of the light that the block absorbs on the way to the eye
 
 const FRAGMENT = `#version 300 es
 precision highp float;
@@ -33,7 +33,7 @@ void main() {
 
 /**
  * A picture of the lens on this canvas: {draw(look), showWall(image, place), free()}; null if the browser has no WebGL2.
- * With look.wall the block stands upright, its light goes away from who looks, and the wall is there with its picture.
+ * With look.wall the block stands upright, its light goes away from the viewer, and the wall shows its picture.
  */
 export function lensPicture(canvas, grid) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
@@ -100,7 +100,7 @@ function floorOf(block) {
   return [left, front, z, right, front, z, right, rear, z, left, front, z, right, rear, z, left, rear, z];
 }
 
-/** Vertices of so many floats each: a point, and where there are 6 slope and bulge after it. */
+/** Vertices of so many floats each: a point and, if there are 6, slope and bulge after it. */
 function array(gl, data, floats) {
   const made = gl.createVertexArray();
   gl.bindVertexArray(made);

@@ -10,7 +10,7 @@ const PER_PIXEL = 0.008;
 const STRETCHES = [1, 2, 4];
 const FRAME_MS = 33;
 const SLOW_MS = 120;
-const SLOW_FRAMES = 12; // in a row, after which a browser that has to draw by itself is spared
+const SLOW_FRAMES = 12; // in a row, after which a browser without graphics hardware is spared
 
 /** {node, seen(on), showWall(image, place), free()}, drawn by `make(canvas, grid)`; null if that gives nothing. */
 export function lensStage(grid, make) {
@@ -37,7 +37,7 @@ export function lensStage(grid, make) {
     spin.textContent = on ? t("Stop turning") : t("Turn");
     ask();
   }
-  /** Where one looks from at first: at a wall from the side that its picture is for. */
+  /** The first viewpoint: for a wall, the side from which its picture is seen. */
   function startOf() {
     if (!look.wall) return START;
     return hung.place.viewedFrom === "lens" ? WITH_WALL : { ...WITH_WALL, yaw: Math.PI - WITH_WALL.yaw };

@@ -102,7 +102,7 @@ void main() {
   colour = vec4(vec3(light <= 0.0031308 ? 12.92 * light : 1.055 * pow(light, 1.0 / 2.4) - 0.055), 1.0);
 }`;
 
-/** How the lens is lit as it was made for: {throwMm, turn, lamp, distanceMm, slant, radius}. */
+/** The set-up for which the lens was made: {throwMm, turn, lamp, distanceMm, slant, radius}. */
 export function settingOf({ throw_mm, light }) {
   const lamp = light.distance_mm !== null;
   return { throwMm: throw_mm, turn: [0, 0], lamp, distanceMm: light.distance_mm ?? 1000, slant: light.slant, radius: light.radius };
@@ -134,7 +134,7 @@ export function beamsOf(lens, setting, count = Infinity) {
   });
 }
 
-/** How many beams are all of a setting's light. */
+/** The number of beams that make all of a setting's light. */
 export function beamCount(lens, setting) {
   return Math.max(setting.radius > 0 ? BEAMS : 1, lens.slopes?.length ?? 1);
 }

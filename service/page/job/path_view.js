@@ -1,5 +1,5 @@
 /**
- * A window on a tool path: what is drawn follows hand and wheel at once, and is drawn anew, more finely, when they rest.
+ * A view of a tool path: the drawing follows hand and wheel at once, and is redrawn more finely when they rest.
  *
  * The canvas is larger than its frame. While it is moved or zoomed, only its transform changes, so that this costs the
  * same for ten moves as for ten million; where drawing is quick it is drawn anew in every frame besides. Then the
@@ -17,7 +17,7 @@ const OVERSIZE = 1.5;
 const SEEN_PX = 1; // a tolerance below so many device pixels cannot be seen
 const REST_MS = 140;
 const QUICK_MS = 9;
-const PATIENT_MS = 90; // that one picture may take to draw
+const PATIENT_MS = 90; // longest time for drawing one picture
 const BUDGET = { first: 150_000, least: 60_000, most: 1_200_000 }; // points of one picture
 const LEAST_TOLD = 20_000; // points whose picture tells how fast this browser draws
 const HELD_BYTES = 48 << 20; // of each level
@@ -57,7 +57,7 @@ export function pathView({ label, outline, onDrawn = () => {} }) {
     moved();
   }
 
-  /** Show the present drawing at the camera's place, and draw it again as soon as that disturbs nobody. */
+  /** Show the present drawing at the camera's place, and redraw it as soon as that does not disturb. */
   function moved() {
     place();
     clearTimeout(rest);
@@ -90,7 +90,7 @@ export function pathView({ label, outline, onDrawn = () => {} }) {
     const { width, height } = size(), reach = OVERSIZE / 2 / camera.scale, x = width * reach, y = height * reach;
     return { x0: camera.x - x, x1: camera.x + x, y0: camera.y - y, y1: camera.y + y };
   }
-  /** The finest level worth drawing of which everything is here. */
+  /** The finest level worth drawing that is completely loaded. */
   function ready(most) {
     const seen = rectangle();
     for (let number = file.levels.length - 1; number > 0; number--) {
@@ -101,7 +101,7 @@ export function pathView({ label, outline, onDrawn = () => {} }) {
     }
     return { number: 0, chunks: chunksIn(file.levels[0].rows, seen).chunks };
   }
-  /** The level before is as good to the eye. */
+  /** The level before it looks the same. */
   function tooFine(number) {
     return number > 0 && file.levels[number - 1].tolerance_mm * camera.scale * ratio() < SEEN_PX;
   }

@@ -1,5 +1,5 @@
 /**
- * What the light paints, side by side, and any two over each other with a wipe; then the others that are for the page.
+ * Pictures of the light, side by side, and any two over each other with a wipe; then the other pictures for the page.
  * service/job/report/pictures.py lists them and their titles.
  */
 import { api } from "../lib/api.js";
@@ -81,7 +81,7 @@ function captioned({ caption, url }) {
   return h("figure", {}, h("img", { src: url, alt: caption }), h("figcaption", {}, caption));
 }
 
-/** A list of pictures to choose one from, which keeps a person's choice. */
+/** A drop-down list of pictures that keeps the person's choice when the list changes. */
 function chooser(words, onChange) {
   const id = freshId("picture");
   let own = false;

@@ -9,7 +9,7 @@ import { detailOfPlan, passWords } from "./figures.js";
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
 const HEIGHT = 300;
 const LEAST_WIDTH = 240;
-const LEAST_BAND = 20; // that words fit into
+const LEAST_BAND = 20; // pixels that words need
 const MARKS_H = [1 / 60, 2 / 60, 5 / 60, 10 / 60, 0.25, 0.5, 1, 2, 3, 5, 8, 12, 24, 48, 96, 200];
 
 /** {node, update(job)} */
@@ -52,7 +52,7 @@ export function planPart() {
   return { node, update, free: () => watch.disconnect() };
 }
 
-/** To the plan before and after, for a hand that does not hit a point. */
+/** Buttons for the previous and the next plan, for people who cannot hit a point. */
 function steps(count, taken, take) {
   return h(
     "div", { class: "plan-steps" },
@@ -75,7 +75,7 @@ export function scales(rows, width) {
   };
 }
 
-/** From least to most with some room, and never less than `least` in all. */
+/** The range of the values with some room at both ends, and at least `least` wide. */
 function spread(values, least) {
   const low = Math.min(...values), high = Math.max(...values), span = Math.max(high - low, least);
   const middle = (low + high) / 2;
@@ -125,7 +125,7 @@ function bandWords([from, to, words], at, width) {
   ];
 }
 
-/** Those of [value, place] that lie so far apart that their words do not meet. */
+/** Those of [value, place] that lie far enough apart for their words not to overlap. */
 function spaced(marks, least) {
   return marks.reduce((kept, one) => (kept.length && one[1] - kept.at(-1)[1] < least ? kept : [...kept, one]), []);
 }

@@ -40,7 +40,7 @@ export function vertices(grid) {
   return found;
 }
 
-/** How much more than its surroundings each node bulges out: 0.5 as much, up to 1 more, down to 0 less. */
+/** The bulge of each node relative to its surroundings: 0.5 equal, up to 1 more, down to 0 less. */
 function bulges({ nx, ny, steps }) {
   const found = new Float32Array(nx * ny), reach = 2;
   for (let j = reach; j < ny - reach; j++) {

@@ -1,4 +1,4 @@
-/** Work that waits until somebody can see what it is for. */
+/** Work that waits until its result is visible. */
 
 /** Calls `work` when the node comes into view, and by `again()` once more if it is; {again(), seen(), end()}.
  * @param {(seen: boolean) => void} onChange */

@@ -25,7 +25,7 @@ export function thumbnails() {
       image.classList.add("there");
       if (before) api.release(before);
     } catch {
-      forget(image); // a picture is no reason for an alarm
+      forget(image); // a missing picture needs no error message
     }
   }
 

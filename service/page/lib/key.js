@@ -29,7 +29,7 @@ function form(scope, close) {
     spellcheck: false,
     placeholder: "XXXX-XXXX-XXXX",
     "aria-describedby": `${hint} ${fault}`,
-    oninput: () => key.selectionStart === key.value.length && (key.value = spelled(key.value)), // not amid the code
+    oninput: () => key.selectionStart === key.value.length && (key.value = spelled(key.value)), // not in the middle of the code
   });
   const name = h("input", {
     type: "text",
@@ -78,7 +78,7 @@ function form(scope, close) {
   );
 }
 
-/** What others see of a page whose user tells no name. */
+/** The name that others see if the user gives none. */
 function usualName() {
   return matchMedia("(pointer: coarse)").matches ? t("Phone") : t("Computer");
 }
@@ -101,7 +101,7 @@ async function exchange(text, name) {
   throw new Error(t("A code is twelve letters and digits, like XXXX-XXXX-XXXX."));
 }
 
-/** A touch on one's own name must not take the mill out of one's hands. */
+/** An accidental touch of one's own name must not give up control of the mill. */
 async function giveBack() {
   const sure = await confirm({
     title: t("Forget the code here?"),

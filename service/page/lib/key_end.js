@@ -8,12 +8,12 @@ import { toast } from "./dialog.js";
 import { t } from "./language.js";
 import { hours } from "./words.js";
 
-const WARN_S = [2 * 3600, 1800, 600, 0]; // before the end; said once each
+const WARN_S = [2 * 3600, 1800, 600, 0]; // before the end; each warning is given once
 const LOOK_MS = 60_000;
 
 /** Watches over the end of the token. enter(): asks a person for a new code. */
 export function watchKeyEnd(enter) {
-  let warned = Infinity; // seconds before the end at which it was said last
+  let warned = Infinity; // seconds before the end at the last warning
   let notice = { close() {} };
 
   async function look() {
@@ -29,7 +29,7 @@ export function watchKeyEnd(enter) {
   }
 
   api.onWho((who) => {
-    if (!who.name) return; // ended; the token is kept, for the mill is still stopped by it
+    if (!who.name) return; // expired; the token is kept, because it may still stop the mill
     if (secondsLeft(who) <= WARN_S[0]) return void setTimeout(look);
     notice.close();
     warned = Infinity;
@@ -54,7 +54,7 @@ function inWords(left_s, run) {
   return t`The code on this page ${end}. Enter a new one, and everything goes on.`;
 }
 
-/** {machine, program} of a program that is under way on any mill; null if none is, or nobody can say. */
+/** {machine, program} of a program under way on any mill; null if there is none, or if that is not known. */
 async function findLiveRun() {
   const { hasLiveRun } = await import("../machine/words.js");
   const { machines } = await api.get("/v1/machines", { quiet: true }).catch(() => ({ machines: [] }));

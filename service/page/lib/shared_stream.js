@@ -12,12 +12,12 @@ const SILENCE_MS = 60_000; // longer than a leader waits for its server
 const MOST = 400; // events sent to a tab that opens later
 const NEWEST_ONLY = new Set(["status", "progress"]); // each says all that the one before did
 
-/** Whether this browser lets tabs share: only where the page came in a way that nobody else reads. */
+/** Whether this browser lets tabs share: only if the page came over a private connection. */
 export function canShare() {
   return Boolean(globalThis.navigator?.locks && globalThis.BroadcastChannel && globalThis.crypto?.subtle);
 }
 
-/** The name under which tabs with this token share the stream of this path; nobody can tell the token from it. */
+/** The name under which tabs with this token share the stream of this path; it does not reveal the token. */
 export async function nameOf(path, token) {
   const bytes = await crypto.subtle.digest("SHA-256", new TextEncoder().encode(`stream ${token} ${path}`));
   return `stream-${[...new Uint8Array(bytes)].map((byte) => byte.toString(16).padStart(2, "0")).join("")}`;
@@ -50,7 +50,7 @@ export function share(name, { place, stopped, read, onMessage }) {
     if (message.state === "ended") over.abort();
   }
 
-  /** What a tab that comes later has missed; all of it where it knows nothing of this. */
+  /** The events that a later tab has missed; all of them if it has none. */
   function tellLate({ from, lastId }) {
     const known = lastId ? place.recent.findLastIndex((one) => one.id === lastId) : -1;
     const missed = place.recent.filter((one, k) => k > known || NEWEST_ONLY.has(one.name));
@@ -76,7 +76,7 @@ export function share(name, { place, stopped, read, onMessage }) {
     await read(both, () => say({ kind: "alive" }), AbortSignal.any([ended, own.signal]));
   }
 
-  /** In the queue for the lock until it is ours; again where another tab has taken it away. */
+  /** Wait for the lock until it is ours; wait again if another tab has taken it away. */
   async function queue(how) {
     try {
       await navigator.locks.request(name, how, lead);
@@ -89,7 +89,7 @@ export function share(name, { place, stopped, read, onMessage }) {
     }
   }
 
-  /** A tab that only listens takes the lock where nothing is heard of the one that has it. */
+  /** A listening tab takes the lock if the tab that has it is silent. */
   function watch() {
     clearTimeout(timer);
     timer = setTimeout(() => queue({ steal: true }), SILENCE_MS);

@@ -1,7 +1,7 @@
 /**
- * Server-sent events over fetch, because EventSource can send no token.
+ * Server-sent events over fetch, because EventSource cannot send a token.
  *
- * A stream that breaks, or says nothing for three heartbeats, is opened again with Last-Event-ID, sooner or later as
+ * A stream that breaks, or is silent for three heartbeats, is opened again with Last-Event-ID, sooner or later as
  * often as it failed; a restarted server is found again by itself. 204, or a refusal that no waiting mends, is the end.
  * A page that nobody sees follows nothing; the pages that are seen share one stream.
  */
@@ -130,7 +130,7 @@ function parseData(text) {
   }
 }
 
-/** Waits; a network that comes back, or a page that is looked at again, ends it. */
+/** Waits; ends early when the network comes back or the page becomes visible again. */
 function pause(ms, stopped) {
   return new Promise((done) => {
     const end = () => {

@@ -28,7 +28,7 @@ export function shape(kind) {
   return svg("svg", { class: `shape ${kind}`, viewBox: "0 0 16 16", "aria-hidden": "true" }, drawn);
 }
 
-/** What a job's state is called on the page. */
+/** The name of a job's state on the page. */
 export function stateWord(state) {
   return LOOKS[state]?.[0] ?? state;
 }

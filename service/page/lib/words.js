@@ -1,4 +1,4 @@
-/** Figures and times as a person says them. */
+/** Figures and times in everyday words. */
 
 import { language, locale, t } from "./language.js";
 
@@ -29,7 +29,7 @@ export function ball(radiusMm) {
 
 const PASSES = { rough: t("rough"), finish: t("finish") };
 
-/** What a pass is called: by its planner "rough" or "finish", numbered where there are several; else by a person. */
+/** The name of a pass: "rough" or "finish" from the planner, numbered if there are several; otherwise the person's own. */
 export function passName(name) {
   return name.replace(/^(rough|finish)(?=$|-\d+$)/, (known) => PASSES[known]);
 }
@@ -84,7 +84,7 @@ export function percentUnderWay(share) {
   return percent(Math.min(share, 0.99));
 }
 
-/** What a job is called: the name its picture was sent under, without the kind of file. */
+/** The name of a job: that of its picture's file, without the extension. */
 export function jobName({ name }) {
   return name.replace(/(?<=.)\.(png|jpe?g|webp|tiff?|bmp|gif)$/i, "");
 }
@@ -99,12 +99,12 @@ export function capital(words) {
   return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
-/** A whole number with its thousands apart: 41210 is "41,210"; a German would take that comma for a point. */
+/** A whole number with its thousands separated: 41210 is "41,210" in English; in German that comma would be a decimal point. */
 export function thousands(whole) {
   return whole.toLocaleString("en").replaceAll(",", language === "de" ? "\u202f" : ",");
 }
 
-/** A word that nobody else has: "page-" and 32 digits. */
+/** A unique word: "page-" and 32 digits. */
 export function freshKey() {
   const words = crypto.getRandomValues(new Uint32Array(4));
   return `page-${[...words].map((word) => word.toString(16).padStart(8, "0")).join("")}`;

@@ -33,7 +33,7 @@ export function camera(link) {
       write(said, "");
       return true;
     } catch {
-      change(""); // an old picture would be taken for what is there now
+      change(""); // an old picture could be mistaken for the present state
       write(said, t("The camera does not answer with a picture."));
       return false;
     }

@@ -49,7 +49,7 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
       go.classList.toggle("primary", isNext);
       count();
     },
-    /** What was looked at may not be so any more; words say why, where a tick is lost by that. */
+    /** Clear ticks whose facts may have changed; words give the reason if a tick is lost. */
     clear(words = "") {
       if (boxes.some(({ box }) => box.checked)) lost = words;
       for (const { box } of boxes) box.checked = false;

@@ -1,7 +1,7 @@
 /**
- * The mill in the head of every screen: state, share cut, and HOLD. Of several the one that moves, as long as it does, or
- * else the worst; with a word of the others. On a mill's own screen, which has a HOLD of its own, it tells of another one
- * that moves or needs a hand.
+ * The mill in the head of every screen: state, share cut, and HOLD. Of several mills it shows the one that moves, as long
+ * as it does, or else the worst, and mentions the others. On a mill's own screen, which has its own HOLD, it shows another
+ * mill that moves or needs a hand.
  */
 
 import { api } from "../lib/api.js";

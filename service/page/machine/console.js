@@ -1,4 +1,4 @@
-/** What happened at the mill, and a line said to it while it stands. */
+/** The mill's log, and a field to send it a line while it stands. */
 
 import { h, replace } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";

@@ -1,4 +1,4 @@
-/** Who has control, and how one gets it. */
+/** Shows who has control, and lets a person take it. */
 
 import { toast } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";

@@ -10,9 +10,9 @@ const DIRECTIONS = new Map([
   [15, [1, 0, 0]],
   [5, [0, 0, 1]],
   [4, [0, 0, -1]],
-]); // by the places of the standard layout
+]); // by their numbers in the standard layout
 
-/** {on(), off()}. What is down already when it is switched on begins nothing. */
+/** {on(), off()}. Buttons that are already pressed when it is switched on start nothing. */
 export function watchGamepad({ begin, end }) {
   let frame = 0;
   let before = null;

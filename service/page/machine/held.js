@@ -42,14 +42,14 @@ export function holdToJog(link, { go, feed }) {
     if (tries > 1) timer = setTimeout(again, AGAIN_MS);
   }
 
-  /** A jog of a whole step ends, too, when nobody can see it any more. */
+  /** A jog of a whole step also ends when the page is hidden. */
   function endWhenHidden() {
     if (!document.hidden) return;
     if (held) end();
     else if (link.mine && link.machine?.mill?.state === "jog") stop(TRIES);
   }
 
-  /** The focus goes from one control to another all the time: only that of the whole window counts. */
+  /** The focus moves between controls all the time: only losing the focus of the whole window counts. */
   const endOn = (event) => (event.type !== "blur" || event.target === window) && end();
 
   for (const kind of ENDS) addEventListener(kind, endOn, { capture: true });

@@ -1,4 +1,4 @@
-/** What this mill has cut, and for how many hours with which ball; as a table to keep, too. Asked for when it is unfolded. */
+/** What this mill has cut, and for how many hours with which ball; also as a file to save. Fetched when it is unfolded. */
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
@@ -53,7 +53,7 @@ async function allRuns(machine) {
   return found;
 }
 
-/** Of cutting as the program takes it: holds and nights do not wear a ball. */
+/** Hours of cutting by the program's own time: holds and nights do not wear a ball. */
 function cutSeconds({ share, time_s: whole }) {
   return share * (whole ?? 0);
 }

@@ -49,7 +49,7 @@ export function jogPanel(link) {
     h("button", {
       type: "button", class: `big ${place}`, "aria-label": label,
       onclick: () => step(direction), onpointerdown: (event) => press(event, direction),
-      oncontextmenu: (event) => steps.held() && event.preventDefault(), // that a long touch would open
+      oncontextmenu: (event) => steps.held() && event.preventDefault(), // a long touch would open it
     }, arrow, direction[2] !== 0 && h("small", {})),
   );
   const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.sendUrgent("jog-cancel") }, t("End jog"));
@@ -103,7 +103,7 @@ export function jogPanel(link) {
   };
 }
 
-/** The step as far as it may go; Error if it may not go at all. */
+/** The step, shortened to what is allowed; Error if it is not allowed at all. */
 function limitStep({ machine }, inside, by_mm) {
   if ((by_mm[0] || by_mm[1] || by_mm[2] < 0) && inside.barred()) throw new Error(t("The tool stands in the block: raise Z first."));
   const found = withinTravel(machine, by_mm);
@@ -111,7 +111,7 @@ function limitStep({ machine }, inside, by_mm) {
   return found;
 }
 
-/** A switch that lets a tool in the block go anywhere all the same, until it is out; its place is always kept. */
+/** A switch that allows a tool in the block to go anywhere, until it is out; its space is always reserved. */
 function allowInBlock(changed) {
   const button = h("button", { type: "button", class: "inside", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, t("Jog in the block"));
   const isOn = () => button.getAttribute("aria-pressed") === "true";
@@ -120,7 +120,7 @@ function allowInBlock(changed) {
   return {
     node: button,
     barred: () => inBlock && !isOn(),
-    /** known: the mill stands; while it moves it is where it was. */
+    /** known: the mill stands still, so its position is known. */
     update(now, known) {
       if (known) inBlock = now;
       if (!inBlock) set(false);
@@ -129,7 +129,7 @@ function allowInBlock(changed) {
   };
 }
 
-/** Whether all that is in the way is a step, or an order on its way. */
+/** Whether nothing prevents a jog but a step or an order under way. */
 function isStep(link) {
   if (link.machine?.mill?.state !== "jog" && !link.busy) return false;
   return whyNot(link, ["idle", "jog"]) === "";

@@ -1,4 +1,4 @@
-/** All mills of the shop on one screen: what each does now, how far it is, and HOLD, which keeps its place. */
+/** All mills of the shop on one screen: the state and progress of each, and HOLD, which keeps its place. */
 
 import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -81,7 +81,7 @@ function card(name) {
   return { node, update };
 }
 
-/** What is wrong, in a line, or what brings it back; its own screen has the rest. */
+/** The fault in one line, or its remedy; the mill's own screen has the details. */
 function whyWords(machine) {
   if (machine.problem) return sentence(machine.problem);
   return machine.agent.reachable ? millWords(machine.mill).brief : outOfReach(machine);

@@ -1,4 +1,4 @@
-/** A program from a job onto the mill, where it waits for a person. Nothing moves by that. */
+/** Loads a program of a job onto the mill, where it waits for a person. Nothing moves. */
 
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
@@ -19,7 +19,7 @@ const STANDS = ["idle", "alarm", "check", "sleep", "door", "jog", "homing", "too
 export function loadCard(link, chosen) {
   const words = refusalLine();
   const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), link.changed(), choose(jobs.value)) });
-  // An answer that is still on its way must not put another program in the place of the one that was taken.
+  // A late answer must not replace the program that was chosen meanwhile.
   const passes = h("select", { onchange: () => ((chosen = { job: jobs.value, program: passes.value }), link.changed()) });
   const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, t("Load onto the mill"));
   const reason = h("p", { class: "missing", role: "status" });
@@ -39,7 +39,7 @@ export function loadCard(link, chosen) {
     const found = await withPrograms(all);
     const wanted = findWanted().job;
     const meant = wanted && !found.some((job) => job.id === wanted) ? await findJob(wanted) : null;
-    if (meant && mayBeMilled(meant)) found.push(meant); // older than those that are listed
+    if (meant && mayBeMilled(meant)) found.push(meant); // older than the listed ones
     replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === findWanted().job, dataset: { name: job.name } }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     waitFor(meant ?? (found.length ? null : all[0]));
     Object.assign(facts, { ready: true, jobs: found.length });
@@ -52,19 +52,19 @@ export function loadCard(link, chosen) {
 
   const findWanted = () => (chosen.job ? chosen : findFollowing(link.run));
 
-  /** The program that the card is set to; null until it is known. meant: by a person, or by the last run. */
+  /** The program selected in the card; null until it is known. meant: by a person, or by the last run. */
   function findPreset() {
     if (listed !== jobs.value || !passes.value) return null;
     return { job: listed, job_name: jobs.selectedOptions[0].dataset.name, program: passes.value, meant: findWanted().job === listed };
   }
 
-  /** The job of the last run may be gone; one that a person means is missed. */
+  /** The job of the last run may be gone without a message; one that a person has chosen may not. */
   async function findJob(id) {
     const asked = api.get(`/v1/jobs/${id}`);
     return chosen.job === id ? asked : asked.catch(() => null);
   }
 
-  /** The jobs are looked at anew when a program has left the mill. What a person meant is done once it is there. */
+  /** The jobs are fetched again when a program has left the mill. A person's choice is settled once the program is on the mill. */
   function follow() {
     const { run } = link;
     if (run?.open && run.job === chosen.job && (!chosen.program || isProgram(run.program, chosen.program))) forgetChoice();
@@ -79,7 +79,7 @@ export function loadCard(link, chosen) {
     if (location.hash.startsWith(`${address}?`)) history.replaceState(history.state, "", address);
   }
 
-  /** A job that is still being worked on is looked at again until it is done. */
+  /** A job at work is fetched again until it is done. */
   function waitFor(job) {
     clearTimeout(timer);
     later.hidden = !job || !["queued", "running"].includes(job.state);
@@ -121,7 +121,7 @@ export function loadCard(link, chosen) {
   };
 }
 
-/** What comes after a run: the next pass, or the same program again where it did not finish. {job, program}, or {}. */
+/** The program after a run: the next pass, or the same program again if it did not finish. {job, program}, or {}. */
 function findFollowing(run) {
   if (!run || run.open || (run.state === "finished" && !run.next)) return {};
   return { job: run.job, program: (run.state === "finished" ? run.next : run.program).name };

@@ -15,20 +15,20 @@ import { Stopper } from "./stopper.js";
 const MOST_LOG = 300;
 const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
 const LOOKED_BACK = 25; // runs, for the last one that was started
-const ANSWER_MS = 1500; // an order of which the log says nothing by then is no reason to wait
+const ANSWER_MS = 1500; // an order without a log entry by then is not waited for
 
 export class MillLink {
   constructor(name) {
     this.path = `/v1/machines/${encodeURIComponent(name)}`;
     this.name = name;
     this.machine = null;
-    this.run = undefined; // not looked for yet; null: there has been none
+    this.run = undefined; // not fetched yet; null: there has been none
     this.before = null; // the program that was started before the one that waits now
     this.answers = new Map(); // run -> whether its block is the one that X0 Y0 was set for, as a person here has said
     this.sameBlock = (run) => this.answers.get(run.id);
     this.looking = false;
     this.log = [];
-    this.commands = 0; // that have ended, as the log tells
+    this.commands = 0; // number of ended commands, from the log
     this.away = "";
     this.streamAway = ""; // a server that answers elsewhere may not know this mill yet
     this.gone = "";
@@ -95,7 +95,7 @@ export class MillLink {
     if (open && open.id === this.run?.id && open.state === this.run.state) {
       Object.assign(this.run, open, { program: this.run.program });
     } else if (open) {
-      if (open.id !== this.run?.id) this.run = null; // another one's words are not this one's
+      if (open.id !== this.run?.id) this.run = null; // the view of another run does not apply to this one
       this.lookAtRun(open.id);
     } else if (this.run === undefined || this.run?.open) {
       this.lookAtRun(this.run?.id);
@@ -103,14 +103,14 @@ export class MillLink {
   }
 
   takeLogEntry(entry) {
-    if (entry.code === "settings_read") return; // every look at a plan asks for them
+    if (entry.code === "settings_read") return; // every look at a plan reads the settings
     if (entry.kind === "state" && PASSING.has(entry.words)) return;
-    if (entry.code === "order_taken") return; // what came of it is said, too
+    if (entry.code === "order_taken") return; // its outcome is logged too
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
     this.log.push(entry);
     if (entry.kind === "command") {
       this.commands += 1;
-      if (this.run?.state === "parked") this.lookAtRun(this.run.id); // its warnings were of another zero
+      if (this.run?.state === "parked") this.lookAtRun(this.run.id); // its warnings were for another zero
     }
     if (this.log.length > MOST_LOG) this.log.shift();
   }
@@ -145,7 +145,7 @@ export class MillLink {
     });
   }
 
-  /** A person's word of the block under the program that waits. */
+  /** A person's statement about the block under the waiting program. */
   answerPlace(same) {
     this.answers.set(this.run.id, same);
     this.changed();
@@ -156,7 +156,7 @@ export class MillLink {
     this.changed();
   }
 
-  /** An order is on its way, or taken and not carried out yet. */
+  /** Whether an order is under way, or accepted and not carried out yet. */
   get busy() {
     return this.sending || this.unanswered === this.commands;
   }
@@ -167,7 +167,7 @@ export class MillLink {
     this.changed();
   }
 
-  /** The run that is shown leaves the mill. Nothing moves by that. */
+  /** Remove the shown run from the mill. Nothing moves. */
   async abandonRun() {
     await this.runExclusively(async () => (this.run = await api.post(`/v1/runs/${this.run.id}:abort`)));
     this.changed();

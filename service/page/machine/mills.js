@@ -15,9 +15,9 @@ let socket = null; // opened with the first mill
 let timer = 0;
 
 export const mills = {
-  /** As they were seen last. */
+  /** The mills as last seen. */
   seen: NONE,
-  /** Whether they are looked at while nobody sees this page. */
+  /** Whether they are polled while the page is hidden. */
   inBackground: false,
 
   /** Ask the server now. quiet: do not ask a person without access for the code. */
@@ -27,26 +27,26 @@ export const mills = {
     notifyListeners();
   },
 
-  /** One of them as its own screen hears of it, sooner than it is looked at. */
+  /** Take over the state of a mill from its own screen, which gets it sooner than the poll. */
   hear(machine) {
     mills.seen = { ...mills.seen, machines: mills.seen.machines.map((one) => (one.name === machine.name ? machine : one)) };
     notifyListeners();
   },
 
-  /** fn() whenever they were looked at or heard of, or a stop was answered. Returns how to stop watching. */
+  /** Call fn() after every poll, news of a mill, or answer to a stop. Returns a function that ends this. */
   watch(fn) {
     watchers.add(fn);
     return () => watchers.delete(fn);
   },
 
-  /** What stops this mill. */
+  /** The Stopper of this mill. */
   stopper(name) {
     socket ??= new StopSocket();
     if (!stoppers.has(name)) stoppers.set(name, new Stopper(name, socket));
     return stoppers.get(name);
   },
 
-  /** HOLD, without control and while other orders are on their way. */
+  /** HOLD; needs no control and does not wait for other orders. */
   async hold(name) {
     const machine = mills.seen.machines.find((one) => one.name === name);
     await mills.stopper(name).stop("hold", machine, api.away);
@@ -55,12 +55,12 @@ export const mills = {
   },
 };
 
-/** Whether HOLD has a purpose: something moves, is held, or a program is on the mill that can go on. */
+/** Whether HOLD is of use: something moves or is held, or a program on the mill can continue. */
 export function isLive(machine) {
   return ["run", "holding", "held", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
 }
 
-/** Whether it is known to stand already: HOLD, which is still taken, has nothing to do. */
+/** Whether the mill is known to stand still: HOLD is still accepted but has no effect. */
 export function isHeld(machine) {
   return !api.away && stands(machine);
 }

@@ -9,9 +9,9 @@ import { shape } from "../lib/state.js";
 import { enable } from "./refusal_line.js";
 import { refusalOf } from "./words.js";
 
-const REST_MS = 1000; // that a new button rests: the press before it was meant for another one
-const SHOWN_MS = 2000; // that a card that is shown is framed
-const SHORT = 60; // letters of a refusal that the line has room for
+const REST_MS = 1000; // during which a new button ignores presses: they were meant for the button before it
+const SHOWN_MS = 2000; // for which a card is framed when it is shown
+const SHORT = 60; // most letters of a refusal that fit into the line
 const NONE = { brief: "", whole: "" };
 
 /** cards: {name: node} that a step may be done in; presses: {name: () => the button of a card that does it}. */
@@ -85,7 +85,7 @@ export function next(link, cards, presses) {
       draw(nextStep);
       const free = Date.now() >= fresh && !link.busy && link.machine?.mill?.state !== "jog";
       const { act } = nextStep;
-      enable(buttons, !act || (free && (!act.press || presses[act.press]()?.disabled === false))); // what only shows is always free
+      enable(buttons, !act || (free && (!act.press || presses[act.press]()?.disabled === false))); // a button that only shows something is always enabled
     },
     close() {
       size.disconnect();
@@ -96,7 +96,7 @@ export function next(link, cards, presses) {
 
 /** Scroll it into view, under no bar, and focus its first control. */
 function reveal(found) {
-  const card = found?.querySelector(".checklist") ?? found; // what is to be ticked
+  const card = found?.querySelector(".checklist") ?? found; // the list that has to be ticked off
   card?.scrollIntoView({ block: "start" });
   card?.animate([{ outline: "3px solid var(--accent)" }, { outline: "3px solid transparent" }], SHOWN_MS);
   const first = card?.querySelector(".pad button:enabled") ?? card?.querySelector("button:enabled, select:enabled, input:enabled");

@@ -66,7 +66,7 @@ function findStandingStep(link, trouble, load, given) {
   return findSetupStep(link, load, given);
 }
 
-/** After a stop the tool stands where it was: nothing goes sideways before it is up. */
+/** After a stop the tool is still in the block: it must go up before it goes sideways. */
 function findRaiseStep({ machine, run }, trouble) {
   const depth = depthInBlock(machine);
   const low = trouble?.step === "recover" && machine.mill.state === "idle" && isZeroKnown(machine, "Z");
@@ -91,7 +91,7 @@ function findHomeStep({ mill, profile }) {
   return makeStep("home", t("home the mill, so that it knows where it is."), { act: HOME });
 }
 
-/** The program comes first: it says which tool and which block the zero is for. */
+/** The program comes first: it determines the tool and the block for the zero. */
 function findSetupStep(link, load, { ticked, named }) {
   const { machine, run, before } = link;
   if (!run?.open) return findLoadStep(run, load);
@@ -105,7 +105,7 @@ function findSetupStep(link, load, { ticked, named }) {
   return findZeroStep(machine, run.setup ?? {}, foreign) ?? findOffStep(machine) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }
 
-/** Whether X0 Y0 of another block is right for this one only a person can say; no program starts before that. */
+/** Only a person knows whether X0 Y0 of another block fits this one; no program starts before the answer. */
 function findPlaceStep({ machine, run, before, sameBlock }, foreign) {
   if (!/[XY]/.test(foreign) || !isZeroKnown(machine, "XY") || sameBlock(run)) return null;
   const same = { label: t("Same place"), same: true };
@@ -115,7 +115,7 @@ function findPlaceStep({ machine, run, before, sameBlock }, foreign) {
   return makeStep("place", t`X0 Y0 was set for ${name}: is the same block clamped in the same place?`, more);
 }
 
-/** Where Z = 0 was set the tool stands on the block. */
+/** Where Z = 0 was just set, the tool touches the block. */
 function findOffStep({ mill, profile }) {
   const stands = isPlaced(mill) && mill.state === "idle" && Math.abs(mill.work_mm[2]) < CLEAR_MM;
   const up = stands ? Math.min(UP_MM, riseToSafe({ mill, profile: { ...profile, safe_z_mm: UP_MM } })) : 0;
@@ -124,7 +124,7 @@ function findOffStep({ mill, profile }) {
   return makeStep("off", t("raise the tool a little, then tick the list."), { act });
 }
 
-/** null if the zero holds, or where nobody can say: a link that tells no position. foreign: axes of another block. */
+/** null if the zero is valid, or if that is not known because the link reports no position. foreign: axes of another block. */
 function findZeroStep(machine, setup, foreign) {
   if (!isPlaced(machine.mill)) return null;
   if (!isZeroKnown(machine, "XY")) return findCornerStep(machine, setup);
@@ -160,13 +160,13 @@ function findLoadStep(run, { ready, jobs, atWork, preset }) {
   return preset ? makeStep("load", loadWords(run, preset), { act: LOAD }) : makeStep("load", t("load a program."), { go: "load" });
 }
 
-/** Of the program that the card is set to, and of no other. */
+/** Only for the program that is selected in the card. */
 function loadWords(run, { job, job_name: name, program }) {
   const follows = run?.state === "finished" && run.job === job && run.next?.name === program;
   return follows ? t`load the next program of ${cutName(name)}, ${program}.` : t`load ${programWords(program, cutName(name))}.`;
 }
 
-/** A job's name for a line that has little room. */
+/** A job's name, shortened for a line with little room. */
 function cutName(name) {
   const whole = jobName({ name });
   return whole.length > NAME ? `${whole.slice(0, NAME - 1)}…` : whole;

@@ -31,7 +31,7 @@ export function notifySwitch() {
   return button;
 }
 
-/** From now on, where a person has switched it on. */
+/** Watch from now on, if a person has switched it on. */
 export function watchForNotifications() {
   mills.inBackground = globalThis.Notification?.permission === "granted" && localStorage.getItem(KEPT) === "on";
   mills.watch(() => api.away || mills.seen.machines.forEach(compare));
@@ -55,7 +55,7 @@ async function compare(machine) {
   else if (was.run && !now.run) notify(name, await endWords(name));
 }
 
-/** What became of the program that was on it. */
+/** The outcome of the program that was on the mill. */
 async function endWords(name) {
   const { runs } = await api.get(`/v1/runs?machine=${encodeURIComponent(name)}&limit=1`, { quiet: true }).catch(() => ({ runs: [] }));
   const [run] = runs;

@@ -15,7 +15,7 @@ export function ordersGiven(link) {
   const fold = h("details", { ontoggle: () => look() }, h("summary", {}, h("h2", { id: "given-title" }, t("Orders"))), rows, older, words.node);
   const node = h("section", { class: "card folded orders", "aria-labelledby": "given-title" }, fold);
   let next = null;
-  let seen = ""; // of the log, when they were asked for last
+  let seen = ""; // newest entry of the log at the last request
   older.hidden = true;
 
   function look() {
@@ -25,7 +25,7 @@ export function ordersGiven(link) {
     words.run(() => add(null));
   }
 
-  /** Those before this number; the newest ones in place of all where there is none. */
+  /** Add the orders before this number; without a number, replace all by the newest ones. */
   async function add(before) {
     const found = await api.get(`${link.path}/orders?limit=${PAGE}${before ? `&before=${before}` : ""}`);
     const made = found.orders.map(row);

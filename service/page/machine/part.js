@@ -72,14 +72,14 @@ export function part(link) {
   };
 }
 
-/** The path of the run's pass, where its job has one to draw. */
+/** The path of the run's pass, if its job has one. */
 async function pathOf(run, artifacts) {
   const name = `${/pass-\d+/.exec(run.program.name)?.[0]}.path`;
   const file = artifacts.find((one) => one.name === name);
   return file ? openPath((from, to) => api.bytes(file.url, { from, to: Math.min(to, file.bytes) })) : null;
 }
 
-/** The lens as `PathSketch.take` wants it; null if the run's pass does not make it. */
+/** The lens for `PathSketch.take`; null if the run's pass does not make it. */
 async function lensOf(job, run, artifacts) {
   const number = Number(/pass-(\d+)/.exec(run.program.name)?.[1]), file = artifacts.find((one) => one.name === "surface.bin");
   if (!file || passesOf(job)[number - 1]?.stock_to_leave_mm !== 0) return null;

@@ -22,32 +22,32 @@ export function findForeignAxes({ mill }, run, before) {
   return before && !follows ? [...AXES].filter((axis) => !mill.zeroed_anew?.includes(axis)).join("") : "";
 }
 
-/** Whether X, Y and Z are set for this program; true if nobody can say. */
+/** Whether X, Y and Z are set for this program; true if that is not known. */
 export function isZeroSet(machine, run, before) {
   if (!isPlaced(machine.mill)) return true;
   return isZeroKnown(machine, AXES) && !findForeignAxes(machine, run, before);
 }
 
-/** A link that tells no position leaves zero and height to the person. */
+/** If the link reports no position, the person is responsible for zero and height. */
 export function isPlaced(mill) {
   return [mill?.machine_mm, mill?.work_mm].every((place) => place?.length === 3 && place.every(Number.isFinite));
 }
 
-/** How deep the tip stands under the top of the block, mm; 0 where it does not, or nobody can say. */
+/** How deep the tip is below the top of the block, mm; 0 if it is above it, or if that is not known. */
 export function depthInBlock(machine) {
   const { mill } = machine ?? {};
   if (mill?.state !== "idle" || mill.needs?.length || !isZeroKnown(machine, "Z")) return 0;
   return mill.work_mm[2] < -SMALL_MM ? -mill.work_mm[2] : 0;
 }
 
-/** How far Z has to rise to the height at which the tool travels, mm; no farther than the machine goes. */
+/** How far Z has to rise to the height at which the tool travels, mm; limited by the machine's travel. */
 export function riseToSafe({ mill, profile }) {
   const wanted = (profile?.safe_z_mm ?? 5) - mill.work_mm[2];
   const room = mill.machine_mm[2] <= 0 ? -mill.machine_mm[2] - 0.5 : wanted;
   return Math.max(0, Math.min(wanted, room));
 }
 
-/** Whether an axis stands where homing leaves it: nobody has put the tool anywhere yet. */
+/** Whether an axis is where homing leaves it, so that no one has moved the tool yet. */
 export function isAtHome({ mill, profile }, axes) {
   const travel = profile?.travel_mm;
   if (!profile?.homing || !travel || !isPlaced(mill)) return false;

@@ -1,4 +1,4 @@
-/** Where the tool is, in numbers one reads from two metres away; while a program runs, how feed and buffer went. */
+/** The tool's position in numbers that can be read from two metres away; while a program runs, plots of feed and buffer. */
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";

@@ -139,7 +139,7 @@ const SENTENCES = {
     whole: t`The computer beside the mill does not answer; the ${orderWord(order)} has not taken effect so far. The state of the program: ${program(state)}.`,
   }),
 
-  // the way to the mill
+  // the link to the mill
   agent_absent: NO_ANSWER,
   agent_unreached: NO_ANSWER,
   agent_key_unusable: ({ reason }) => sentence(t`The key of the computer beside the mill cannot be used: ${reason}`),
@@ -149,7 +149,7 @@ const SENTENCES = {
   agent_wrong: t("The computer beside the mill gave an answer that makes no sense: does it run the same version of causticmill as this server?"),
   agent_fault: ({ status, reason }) => sentence(t`The computer beside the mill answered ${status}: ${reason}`),
 
-  // why a program is as it is
+  // why a program is in its state
   owner_lost: ({ state }) => t`The computer beside the mill stopped while the program was ${program(state)}.`,
   aborted: t("Aborted by the operator."),
   taken_back: t("Taken back before its start."),
@@ -168,7 +168,7 @@ const SENTENCES = {
   "program changed on disk": fault(t("Program changed on disk")),
   "device reports a fault": fault(t("Device reports a fault")),
 
-  // why a mill is as it is
+  // why a mill is in its state
   locked: ({ alarm }) => ({ brief: lockedWords(alarm), whole: `${capital(alarmWords(alarm))}.` }),
   locked_until_reset: ({ alarm }) => ({ brief: lockedWords(alarm), whole: t`${capital(alarmWords(alarm))}; waiting until the controller accepts a reset.` }),
   silent: {
@@ -176,7 +176,7 @@ const SENTENCES = {
     whole: t("Nothing answers '?'. After a limit alarm a controller accepts nothing but a reset, and while it homes it does not answer either: look at the mill; if it stands still, send a reset."),
   },
 
-  // what has to be done first
+  // needs that must be met first
   connect: ({ state }) => (state === "idle" ? t("The mill has not reported its position yet: wait a second.") : t`The mill is ${mill(state)}: connect it; connecting moves nothing.`),
   wait: ({ state }) => t`The mill is ${mill(state)}: wait until that has ended, or hold it.`,
   "stand still": ({ state }) => t`The mill is ${mill(state)} and may hold unfinished blocks: reset it, which clears them and, from standstill, keeps the position.`,

@@ -1,4 +1,4 @@
-/** A small plot of how a figure went in the last minute. */
+/** A small plot of a figure over the last minute. */
 
 import { h, svg } from "../lib/dom.js";
 import { t } from "../lib/language.js";

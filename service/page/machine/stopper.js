@@ -4,20 +4,20 @@ import { api } from "../lib/api.js";
 import { t } from "../lib/language.js";
 import { refusal, stands } from "./words.js";
 
-const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
+const OTHER_WAY_MS = 300; // a stop without an answer by then is also sent as a request
 const STOP_ANSWER_MS = 6000;
 const BEHIND_MS = 1000;
 const LOST_MS = 1000; // a request whose server died with it is sent once more up to then: another takes it at once
 const BUTTON = t("Use the stop button on the mill itself.");
 
 export class Stopper {
-  /** socket: a StopSocket, which may be that of other mills, too. */
+  /** socket: a StopSocket, which other mills may share. */
   constructor(name, socket) {
     this.name = name;
     this.socket = socket;
     this.words = ""; // shown for a stop that did not arrive
     this.lost = false; // whether the mill was out of reach since
-    this.run = ""; // that was on the mill then
+    this.run = ""; // the run that was on the mill then
     this.answered = { count: 0, until: 0 }; // of the last stop, and how long what else is heard may be behind that
     this.aborts = 0; // how often STOP was pressed
   }
@@ -31,7 +31,7 @@ export class Stopper {
     } catch ({ errors }) {
       this.words = t`${what === "hold" ? t("HOLD") : t("STOP")} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
       this.run = machine?.run?.id ?? "";
-      this.lost = away; // one of which nothing is heard says so once
+      this.lost = away; // reported once for a mill that is out of reach
       return false;
     }
   }

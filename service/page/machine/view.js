@@ -36,7 +36,7 @@ export default async function view(root, params, app) {
   link.onChange(() => {
     parts.load.follow();
     const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked, named: parts.program.named });
-    for (const one of Object.values(parts)) one.update(nextStep); // the line last: it presses what the cards have
+    for (const one of Object.values(parts)) one.update(nextStep); // the line last: it presses buttons of the cards
     arrange(link, parts);
     turned(link);
   });
@@ -57,7 +57,7 @@ function makeParts(link, chosen) {
   return { ...own, ...others, next: next(link, cards, { load: () => load.button, start: () => others.program.button }) };
 }
 
-/** On a narrow screen what is on the mill comes before what sets it up; `arrange` says when. */
+/** On a narrow screen the cards of the run come before those of the set-up; `arrange` decides when. */
 function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, seen, terminal, given, past, stops }) {
   const node = (one) => one.node;
   const stack = (name, ...parts) => h("div", { class: `stack ${name}` }, parts.map(node));
@@ -77,7 +77,7 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
   );
 }
 
-/** What is of no use now is not shown: while a program is on the mill nobody jogs, and nothing else can be loaded. */
+/** Hide useless cards: while a program is on the mill, jogging and loading another one are not possible. */
 function arrange({ machine, run }, { jog, setup, load, overrides, recover }) {
   const live = hasLiveRun(machine);
   jog.node.hidden = live;

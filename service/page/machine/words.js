@@ -16,14 +16,14 @@ export function logWords({ kind, words, code, values }) {
   return code ? describe({ code, values, words }).whole : words;
 }
 
-/** Why nothing is known of the mill, and what brings it back. */
+/** Why nothing is known of the mill, and what restores the connection. */
 export function outOfReach({ agent, remote }) {
   const why = describe(agent).whole;
   if (!UNANSWERED.has(agent.code)) return why;
   return `${why} ${remote ? t("Switch it on, or start causticmill mill on it.") : t("To connect it again, start the server again.")}`;
 }
 
-/** {brief, whole}: what an order was refused for. */
+/** {brief, whole}: why an order was refused. */
 export function refusalOf({ code, values, effect, detail, message }) {
   return describe({ code, values: { ...values, effect: effect || detail }, words: (detail ?? message).trim() });
 }
@@ -33,12 +33,12 @@ export function refusal(error) {
   return refusalOf(error).whole;
 }
 
-/** {brief, whole}: what the mill says of itself. */
+/** {brief, whole}: the mill's own message. */
 export function millWords({ connected, code, alarm, detail, problem }) {
   return describe(connected ? { code, values: { alarm }, words: detail } : { words: problem });
 }
 
-/** How a machine stands: {kind, word, words}; words say more where there is more to say. One only switched on needs nobody. */
+/** The state of a machine: {kind, word, words}; words has details if there are any. A mill that was only switched on needs no one. */
 export function standing(machine) {
   if (machine.problem) return { kind: "bad", word: t("cannot be used"), words: sentence(machine.problem) };
   if (!machine.agent.reachable) return { kind: "bad", word: t("out of reach"), words: outOfReach(machine) };
@@ -53,12 +53,12 @@ export function programWords(program, job) {
   return job ? t`${program} of ${jobName({ name: job })}` : program;
 }
 
-/** How long a run goes on; "" if nobody knows. */
+/** The time that a run has left; "" if it is not known. */
 export function leftWords(run, simulated) {
   return Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
 }
 
-/** Of a mill's own screen. */
+/** The address of a mill's own screen. */
 export function addressOf(name) {
   return `#/machines/${encodeURIComponent(name)}`;
 }
@@ -73,7 +73,7 @@ export function standingInShop(machine) {
 
 const URGENCY = ["off", "good", "wait", "busy", "warn", "bad"];
 
-/** How much a mill asks for a person, to compare. */
+/** How urgently a mill needs a person, for comparison. */
 export function urgency(machine) {
   return URGENCY.indexOf(standingInShop(machine).kind);
 }

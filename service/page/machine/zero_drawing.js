@@ -1,10 +1,10 @@
-/** Where X0 Y0 is, before a tool is over it: block and lens from above, of the job on the mill or of an example. */
+/** Shows where X0 Y0 will be set: block and lens from above, of the job on the mill or of an example. */
 
 import { h, replace, svg, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { figures, mm } from "../lib/words.js";
 
-const ANY = { width_mm: 116, height_mm: 116, margin_mm: 16 }; // a margin that is seen at this size
+const ANY = { width_mm: 116, height_mm: 116, margin_mm: 16 }; // a margin that is visible at this size
 const [WIDE, HIGH] = [132, 116];
 const [TOP, FOOT, SIDE] = [16, 18, 6]; // room for the words above and below the block, and beside it
 const AXIS = 20;

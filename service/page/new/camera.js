@@ -11,7 +11,7 @@ const REFUSED = {
   NotReadableError: t("The camera is in use by another program."),
 };
 
-/** The photograph as a File; null if none was taken; a sentence has said why. */
+/** The photograph as a File; null if none was taken, after a message with the reason. */
 export async function photograph() {
   let stream = null;
   try {

@@ -29,7 +29,7 @@ export function couponPart({ take }) {
     profile = chosen;
     link.href = at(`${address()}.zip`);
     link.download = `coupon-${profile}.zip`;
-    photo.clear(); // it was another mill's
+    photo.clear(); // it belonged to another mill
   }
   function lines({ finish, mill, notes, values }) {
     const instead = { "finish.minutes": undefined, "finish.depth_um": undefined }; // of a finish that was planned

@@ -1,4 +1,4 @@
-/** The end mills that the shop has, by diameter as catalogues give them: plans choose among these. Kept on the server. */
+/** The end mills of the shop, by diameter as in catalogues: plans choose among these. Stored on the server. */
 
 import { api } from "../lib/api.js";
 import { freshId, h, replace, write } from "../lib/dom.js";
@@ -9,7 +9,7 @@ const INTRO = t("New jobs are planned with these alone. Sizes are diameters in m
 const USUAL = t("usual");
 const FIELDS = [["diameter", t("Diameter"), ""], ["corner", t("Corner radius"), t("ball")], ["flute", t("Cutting length"), USUAL], ["shank", t("Shank"), USUAL], ["stick_out", t("Sticks out"), USUAL]];
 
-/** Their nodes. onChange(): there are others now. */
+/** Returns the section's nodes. onChange(): the cutters have changed. */
 export function ownCutters({ onChange }) {
   const list = h("ul", { class: "row cutters" }), said = h("p", { class: "fault", role: "alert" });
   const inputs = Object.fromEntries(FIELDS.map(([key, label, placeholder]) => [key, numberInput(label, placeholder)]));
@@ -44,7 +44,7 @@ export function ownCutters({ onChange }) {
     const button = h("button", { type: "button", "aria-label": t`Take away ${size}`, disabled: tools.length === 1, onclick: drop }, "×");
     return h("li", { title: t`cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
   }
-  /** What is left out is usual for such a cutter. */
+  /** Values left out are those usual for such a cutter. */
   function asTool() {
     const read = (key, usually) => inputs[key].read() ?? usually;
     const diameter = read("diameter", 0), flute = read("flute", 3 * diameter), radius_mm = diameter / 2;

@@ -1,6 +1,6 @@
 /** Keeps an unsent job and the picture for it when a person opens another view or reloads the page. */
 
-const KEY = "draft"; // of what was set, in this tab's own storage
+const KEY = "draft"; // key of the settings in this tab's own storage
 const PICTURES = "pictures"; // of all tabs, by name; a tab's storage has no room for them
 const DAY_MS = 86_400_000;
 
@@ -48,7 +48,7 @@ export function putAway(file) {
   const [at, old] = [Date.now(), IDBKeyRange.upperBound(String(Date.now() - DAY_MS))];
   stored = { file, name: `${at}-${Math.random()}` };
   const change = (pictures) => (pictures.delete(old), pictures.put({ file }, stored.name));
-  inPictures("readwrite", change).catch(() => null); // no room, or a browser that keeps nothing: then a reload loses it
+  inPictures("readwrite", change).catch(() => null); // no room, or a browser without storage: then a reload loses it
   return stored.name;
 }
 

@@ -74,7 +74,7 @@ export function estimator({ make, onState }) {
     try {
       estimate = await api.upload("/v1/estimates?exactly=true", form, { headers: HEADERS, signal, quiet: true });
     } catch {
-      // the first look is what there is
+      // only the first look is available
     }
     if (!signal.aborted) onState({ kind: "known", estimate, after: coarse });
   }

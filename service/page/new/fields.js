@@ -34,7 +34,7 @@ export const EXPERT = [...new Set(FOLDED.map(({ table }) => table))].map((title)
 /** The figures of one pass, in the order of its card. */
 export const PASS = [...rowsOf(target(SCHEMA.properties.passes.items))];
 
-/** What counts for a key of the spec that is left out. */
+/** The value of a key of the spec that is left out. */
 export function usualOf(key) {
   return SPEC.find((row) => row.key === key).usual;
 }

@@ -1,4 +1,4 @@
-/** Pictures to begin with, where nobody has one at hand. */
+/** Example pictures for people who have none at hand. */
 
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";

@@ -10,7 +10,7 @@ const INTRO = t("Describe your mill by what differs from a known one: plans, pro
 const AXES = ["X", "Y", "Z"];
 const FIGURES = [["step_mm", t("Smallest step, µm"), 1000], ["z_noise_mm", t("Height error, µm"), 1000], ["collet_mm", t("Collet takes, mm"), 1], ["spindle_w", t("Spindle, W"), 1]];
 
-/** Their nodes. profiles: those of the server; onChanged(profiles, name): there are others now; name: the one stated, null one taken away. */
+/** Returns the section's nodes. profiles: those of the server; onChanged(profiles, name): the profiles have changed; name: the one added or changed, null after a removal. */
 export function ownMills({ profiles, onChanged }) {
   const known = profiles.filter(({ built_in }) => built_in), own = profiles.filter(({ stated }) => stated);
   const name = textInput(t("Name"), { maxLength: 40 }), words = textInput(t("What it is"), { maxLength: 300 });
@@ -49,7 +49,7 @@ export function ownMills({ profiles, onChanged }) {
     showUsual();
     name.input.focus();
   }
-  /** Several figures that belong together are stated whole, those left empty as they are usually. */
+  /** Figures that belong together are stated together; fields left empty get their usual values. */
   function whole(inputs, usual) {
     const read = inputs.map((field) => field.read());
     return read.every((value) => value === null) ? undefined : read.map((value, k) => value ?? usual[k]);

@@ -29,14 +29,14 @@ export function passes({ onChange, known }) {
     add,
   );
 
-  /** focus: number of the pass that a person is at. */
+  /** focus: number of the pass that the person is editing. */
   function change(rows, focus = 0) {
     show(rows);
     onChange();
     cards[focus]?.rows[0].focus();
   }
 
-  /** Like the last one, by a name of its own. */
+  /** A copy of the last pass with a name of its own. */
   function another() {
     const all = values(), last = all.at(-1);
     const stem = (last.name ?? FIRST[1].name).replace(/-\d+$/, "");
@@ -78,7 +78,7 @@ export function passes({ onChange, known }) {
     change(values().filter((_, number) => number !== at), Math.max(0, at - 1));
   }
 
-  /** What stands there, as far as it can be read. */
+  /** The values in the fields, as far as they can be read. */
   function values() {
     return read([]) ?? [];
   }

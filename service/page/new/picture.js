@@ -104,7 +104,7 @@ export async function sentPicture(picture, edits, screen, { mostSide = MOST_SIDE
   const [width, height] = [part.width, part.height].map((side) => Math.max(1, Math.round(side * scale)));
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
-  const full = Math.max(part.width, part.height) * picture.proxy.width < mostSide * picture.width; // the smaller copy will not do
+  const full = Math.max(part.width, part.height) * picture.proxy.width < mostSide * picture.width; // the smaller copy is not enough
   paint(context, picture, edits, part, { x: 0, y: 0, width, height }, { full });
   if (edits.brightness || edits.contrast) {
     const pixels = context.getImageData(0, 0, width, height);

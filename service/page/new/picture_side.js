@@ -80,7 +80,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     draw();
   }
 
-  /** Once the server has looked at it, it is no open question any more. */
+  /** The server has checked the picture, so its question is settled. */
   function blame(words) {
     write(fault, words);
     for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
@@ -118,7 +118,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     forget,
     show,
     blame,
-    /** What is wrong with the picture, "" nothing that is known. */
+    /** The fault of the picture; "" if none is known. */
     fault: () => fault.textContent,
     focus: () => place.querySelector("button, canvas")?.focus(),
     sent,

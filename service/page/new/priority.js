@@ -1,4 +1,4 @@
-/** Which jobs come first; not part of the spec. */
+/** The priority of a job in the queue; not part of the spec. */
 
 import { t } from "../lib/language.js";
 import { row } from "./row.js";

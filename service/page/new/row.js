@@ -13,7 +13,7 @@ export function row(field, { onChange, key = field.key }) {
   const ids = { label: freshId("label"), hint: freshId("hint"), fault: freshId("fault") };
   const described = `${field.hint ? `${ids.hint} ` : ""}${ids.fault}`;
   const changed = () => {
-    blame(""); // until the server has looked at it again
+    blame(""); // until the server has checked it again
     onChange();
   };
   const input = INPUTS[field.kind](field, { ids, described, onChange: changed });
@@ -33,14 +33,14 @@ export function row(field, { onChange, key = field.key }) {
     ])
       element.setAttribute(name, value);
 
-  /** use: a value that would do, for one click. */
+  /** use: a valid value, which one click takes over. */
   function blame(words, use) {
     const take = () => (input.show(use), changed());
     replace(fault, words, use != null && h("button", { type: "button", onclick: take }, t`Use ${use} ${field.unit}`));
     for (const control of input.controls) control.setAttribute("aria-invalid", String(Boolean(words)));
   }
 
-  /** why: what it cannot be set for, "" if it can. */
+  /** why: the reason why it cannot be set, "" if it can. */
   function disable(why) {
     for (const control of input.controls) Object.assign(control, { disabled: why !== "", title: why || field.limits });
   }

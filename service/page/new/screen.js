@@ -1,9 +1,9 @@
-/** The picture on the wall, as a spec says it. */
+/** The picture on the wall, according to a spec. */
 
 import { usualOf } from "./fields.js";
 import { valueAt } from "./spec.js";
 
-/** What counts for a key of a spec, given or left out. */
+/** The effective value of a key of a spec: the given one, or its default. */
 export const valueOf = (spec, key) => valueAt(spec, key) ?? usualOf(key);
 
 /** The values of a spec that decide the drawing: {aspect, fit, tone, invert}. */
@@ -26,7 +26,7 @@ function widthOf(spec) {
   return screen_width_mm ?? (screen_height_mm === undefined ? width_mm : (screen_height_mm * width_mm) / height_mm);
 }
 
-/** Width over height; 1 while the figures make no sense. */
+/** Width over height; 1 while the figures are not valid. */
 function aspectOf(spec) {
   const { screen_height_mm } = spec.optics ?? {};
   const [width_mm, height_mm] = lensOf(spec);

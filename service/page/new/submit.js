@@ -1,4 +1,4 @@
-/** A job on its way to the server: sent once, however often the button is pressed or an answer is lost. */
+/** Sends a job to the server once, however often the button is pressed or an answer is lost. */
 
 import { api } from "../lib/api.js";
 import { freshKey } from "../lib/words.js";

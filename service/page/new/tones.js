@@ -1,4 +1,4 @@
-/** Pixels as light: what a picture's values mean, and what a wall shows of them. The same sums as the server's. */
+/** Pixels as light: converts a picture's values to light, and light to what a wall shows. The same formulas as the server's. */
 
 const LUMINANCE = [0.2126, 0.7152, 0.0722]; // Rec. 709, in linear light
 const FROM_SRGB = Float32Array.from({ length: 256 }, (_, value) => toLinear(value / 255));

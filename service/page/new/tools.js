@@ -1,4 +1,4 @@
-/** What can be done to the picture beside choosing its part: turn, mirror, tones. */
+/** Tools for the picture, besides choosing its part: turn, mirror, tones. */
 
 import { freshId, h } from "../lib/dom.js";
 import { t } from "../lib/language.js";

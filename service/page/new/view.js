@@ -25,7 +25,7 @@ const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
 const MAKE = t("Make the lens");
 const NO_PICTURE = t("Choose a picture first.");
 const CANNOT = t("Such a lens cannot be made.");
-const MOST_NAMED = 3; // beside the button
+const MOST_NAMED = 3; // problems that are named beside the button
 const WAITS = t("The server does not answer. The job is sent as soon as it does; leave this page open.");
 
 export default async function view(root, params, app) {
@@ -47,7 +47,7 @@ export default async function view(root, params, app) {
     put({});
     toast(t("Everything is as usual again."), { action: { words: t("Undo"), run: () => (page.stop(), put(before)) } });
   }
-  /** The mills of the shop are others now; name: the one to go on with, null the usual one. */
+  /** The mills of the shop have changed; name: the one to select, null for the usual one. */
   function withMills(found, name) {
     const before = page.draft();
     page.stop();
@@ -79,7 +79,7 @@ async function knownProfiles() {
   }
 }
 
-/** What it holds is fetched when it is opened. */
+/** Its contents are fetched when it is opened. */
 function lateCard(title, load) {
   const card = h("details", { class: "card" }, h("summary", {}, title));
   card.addEventListener("toggle", async () => card.append(...(await load())), { once: true });
@@ -121,7 +121,7 @@ function newJob(profiles, app, withMills) {
   );
 
   function changed() {
-    now.refused = []; // what was sent is not what is here any more
+    now.refused = []; // the form differs from what was sent
     now.forMore = false;
     side.forget();
     element.classList.toggle("stale", now.estimate !== null);
@@ -233,7 +233,7 @@ function newJob(profiles, app, withMills) {
   return { element, begin, draft, keep, leave, stop };
 }
 
-/** What the estimate and the refusal of a job say, each sentence once. */
+/** The sentences of the estimate and of a refusal, each once. */
 function bothOf(estimated, refused) {
   const known = new Set(estimated.map(({ detail }) => detail));
   return [...estimated, ...refused.filter(({ detail }) => !known.has(detail))];
@@ -262,7 +262,7 @@ function submitBar(onclick) {
     line.hidden = Boolean(now.why || now.look.length);
     why.hidden = !line.hidden;
     const more = now.look.length - MOST_NAMED, said = [now.why, ...now.look];
-    if (said.length === listed.length && said.every((one, k) => one === listed[k])) return; // what has the focus keeps it
+    if (said.length === listed.length && said.every((one, k) => one === listed[k])) return; // the focus stays
     listed = said;
     const names = now.look.slice(0, MOST_NAMED).map(name);
     replace(why, now.why, names.length > 0 && [" ", t("Look at:"), names, more > 0 && t`+ ${more} more`]);

@@ -82,7 +82,7 @@ async def _life(services: Services) -> AsyncIterator[None]:
     behind = [services.fleet.watch(), services.stop_access.keep_fresh()]
     if ways := list_ways_out(services.settings):
         delivery = Delivery(ways)
-        behind += [delivery.run(), watch_mills(services.fleet, delivery.tell)]
+        behind += [delivery.run(), watch_mills(services.fleet, delivery.enqueue)]
     tasks = [asyncio.create_task(work) for work in behind]
     await services.fleet.meet_agents()
     yield
@@ -100,6 +100,6 @@ def _document(app: FastAPI) -> dict[str, Any]:
         )
         app.openapi_schema = with_problems(document)
         for path, item in document["paths"].items():
-            if path.endswith(STOPS):  # the token is optional: at the server's own computer none is needed
+            if path.endswith(STOPS):  # the token is optional: on the server's own computer none is needed
                 item["post"]["security"].append({})
     return app.openapi_schema

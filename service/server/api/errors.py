@@ -1,5 +1,5 @@
-"""Refusals: which one stands for which error, and how the OpenAPI document shows them. What a caller reads names no
-path and shows no traceback: that is in the log.
+"""Maps errors to refusals, and describes these in the OpenAPI document. Answers contain no path and no traceback; those
+are in the log.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _log = structlog.get_logger("api")
 
 
 def install_problems(app: FastAPI) -> None:
-    """Make a problem of every error; those of known families are not logged as faults by the frame."""
+    """Turn every error into a problem; the framework does not log errors of known families as faults."""
     known = (Problem, InputError, FailedError, SQLAlchemyError, OSError, HTTPException, RequestValidationError)
     ours = (JobStateError, UnknownJobError, UnknownArtifactError, KeyReusedError, MissingObjectError, ClientDisconnect)
     for kind in (*known, *ours, Exception):
@@ -49,10 +49,10 @@ async def _answer(request: Request, error: Exception) -> Response:
 
 
 def problem_of(error: Exception) -> Problem:
-    """Return the refusal that tells of an error; 500 for what nobody expected."""
-    for kinds, told in _TABLE:
+    """Return the refusal for an error; 500 for an unexpected one."""
+    for kinds, convert in _TABLE:
         if isinstance(error, kinds):
-            return told(error)
+            return convert(error)
     return Problem(500, Phrase("internal server error; see the server's log"))
 
 
@@ -75,7 +75,7 @@ def _of_request(error: Exception) -> Problem:
 
 
 def _of_http(error: Exception) -> Problem:
-    """Return what the router itself refuses, and what the framework refuses about bodies."""
+    """Return the problem for refusals of the router, and for the framework's refusals of bodies."""
     status = getattr(error, "status_code", 500)
     words = {
         404: Phrase("no such address"),
@@ -153,7 +153,7 @@ _WORDS = {
     507: "the server has no space left",
 }
 _EVENT = {"type": "object", "properties": {name: {"type": "string"} for name in ("id", "event", "data")}}
-# What the guard and the frame answer on every route.
+# Answers of the guard and the framework on every route.
 ANYWHERE = (400, 401, 403, 404, 405, 408, 413, 422, 429, 431, 503)
 
 Responses = dict[int | str, dict[str, Any]]
@@ -175,7 +175,7 @@ def _refusal(status: int) -> dict[str, Any]:
 
 
 def with_problems(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the OpenAPI document with the problem's schema, and each refusal told once for all routes."""
+    """Return the OpenAPI document with the problem's schema, and with each refusal described once for all routes."""
     components = document.setdefault("components", {})
     schema = ProblemBody.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas = components.setdefault("schemas", {})

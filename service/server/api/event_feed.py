@@ -1,8 +1,8 @@
-"""What happens to jobs, to any number of followers: one poller asks the database for all of them together.
+"""Sends the events of jobs to any number of followers: one poller queries the database for all of them together.
 
-Theory of operation: every follower remembers the last event it was given. The poller asks for what came after the least
-of them, for each job that is followed, and hands each follower its part; so history, live events and a reader that
-comes back with Last-Event-ID are one and the same case, and nothing can fall between them. Only the poller's queries
+Theory of operation: every follower remembers the last event that it was given. For each followed job, the poller asks
+for the events after the lowest of these and gives each follower its part. So history, live events and a reader that
+comes back with Last-Event-ID are the same case, and no event can be lost between them. Only the poller's queries
 run in another thread; everything else belongs to the event loop.
 """
 
@@ -92,7 +92,7 @@ class Feed:
         return True
 
     async def _poll(self) -> None:
-        """Poll until nobody follows any more."""
+        """Poll until there are no more followers."""
         while self._hub.readers:
             self._wake.clear()
             asked = self._list_wanted()
@@ -110,14 +110,14 @@ class Feed:
                 await asyncio.wait_for(self._wake.wait(), wait_s)
 
     def _list_wanted(self) -> dict[str, int]:
-        """Return for each job the event after which somebody needs the rest."""
+        """Return, for each job, the event after which a follower needs the rest."""
         asked: dict[str, int] = {}
         for follower in self._hub.readers:
             asked[follower.job_id] = min(follower.seen, asked.get(follower.job_id, follower.seen))
         return asked
 
     def _hand_out(self, asked: Mapping[str, int], news: News, *, whole: bool) -> None:
-        """Hand each follower what it has not seen. `whole`: nothing was left behind in the database."""
+        """Give each follower the events that it has not seen. `whole`: no events were left in the database."""
         events: dict[str, list[JobEvent]] = {}
         for event in news.events:
             events.setdefault(event.job_id, []).append(event)

@@ -1,7 +1,7 @@
 """The API process: `python -m service.server.api.main`, configured by the environment.
 
-It never computes and never migrates. Prints one line when it serves. SIGTERM and SIGINT: no new connections, streams
-end, requests have five seconds.
+It never computes and never migrates. Prints one line when it serves. On SIGTERM or SIGINT it accepts no new
+connections, ends streams, and gives requests five seconds.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
-_CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
+_CALM_S = 3.0  # after which a server that has just started begins work that no one waits for
 _STUCK_S = 10.0
 
 
@@ -86,7 +86,7 @@ def main() -> int:
 
 @contextlib.contextmanager
 def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> Iterator[Services]:
-    """Open everything the routes need, closed at the end. InputError where it would not be safe to serve.
+    """Open everything the routes need, closed at the end. InputError if it would not be safe to serve.
 
     offer : of a code with which pages can be paired. url : where the page is
     """
@@ -161,14 +161,14 @@ async def _serve(services: Services, listener: socket.socket, line: socket.socke
         loop = asyncio.get_running_loop()
         loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
     turning = asyncio.create_task(_send_beats(server, line))
-    gc.freeze()  # what is here now stays: not worth looking at again and again
+    gc.freeze()  # all present objects stay: no need to scan them again and again
     await server.serve(sockets=[listener])
     turning.cancel()
 
 
 async def _send_beats(server: Server, line: socket.socket | None) -> None:
-    """Send beats to supervisor and standby while the event loop turns; a process that hangs is started again."""
-    hang = Timeout(_STUCK_S, most_s=2.0 * lifeline.BEAT_S)  # looked at with every beat
+    """Send heartbeats to supervisor and standby while the event loop runs; a process that hangs is restarted."""
+    hang = Timeout(_STUCK_S, most_s=2.0 * lifeline.BEAT_S)  # checked with every heartbeat
     lifeline.healthy = lambda: not hang.is_over
     while True:
         await asyncio.sleep(lifeline.SERVING_EVERY_S)
@@ -184,14 +184,14 @@ def server_of(
     *,
     admission: Admission | None = None,
 ) -> Server:
-    """Make uvicorn as we want it; `on_ready` is called once it serves, `on_end` when it accepts nothing any more.
+    """Configure uvicorn; `on_ready` is called once it serves, `on_end` when it stops accepting.
 
     admission : None for the usual places
     """
     app = make_app(services)
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
-        """Send WebSockets past all middleware: strangers may open them, so they must be cheap."""
+        """Route WebSockets around all middleware: strangers may open them, so they must be cheap."""
         await (services.stop_sockets if scope["type"] == "websocket" else app)(scope, receive, send)
 
     config = make_config(serve, lifespan="on", timeout_graceful_shutdown=_DRAIN_S)
@@ -199,7 +199,7 @@ def server_of(
 
 
 class Server(HttpServer):
-    """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
+    """Announces when it serves. At a stop it first ends the streams, which would never end by themselves."""
 
     def __init__(
         self,

@@ -1,7 +1,6 @@
-"""How the server is doing: whether everything that it needs works, each part by its own word, and figures for
-Prometheus.
+"""Monitoring of the server: whether each part that it needs works, and figures for Prometheus.
 
-What the database knows is read there at each scrape, only requests are counted here.
+Figures of the database are read from it at each scrape; only requests are counted here.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ Result = TypeVar("Result")
 
 
 class SharedCall(Generic[Result]):
-    """Callers share the call that is under way; one that hangs keeps a single thread, which no other work needs.
+    """Callers share the call under way. A call that hangs blocks a single thread, which no other work needs.
 
     For one event loop.
     """
@@ -49,7 +48,7 @@ class SharedCall(Generic[Result]):
         self._began_s = 0.0
 
     async def result(self, timeout_s: float) -> Result:
-        """Return the result; TimeoutError where the call takes longer, at once where it has done so already."""
+        """Return the result; TimeoutError if the call takes longer, at once where it has done so already."""
         if self._running is None or self._running.done():
             self._running, self._began_s = Future(), time.monotonic()
             # A daemon: a check that hangs does not keep the process from ending.
@@ -58,7 +57,7 @@ class SharedCall(Generic[Result]):
         if left_s <= 0 and not self._running.done():
             raise TimeoutError
         done = asyncio.wrap_future(self._running)
-        await asyncio.wait({done}, timeout=max(0.0, left_s))  # does not cancel it: others wait for it, too
+        await asyncio.wait({done}, timeout=max(0.0, left_s))  # does not cancel it: others wait for it too
         if not done.done():
             raise TimeoutError
         return done.result()
@@ -75,11 +74,11 @@ _log = structlog.get_logger("api")
 
 
 class _WrongError(Exception):
-    """What is wrong, in words that may be shown."""
+    """A fault, in words that may be shown."""
 
 
 class Readiness:
-    """One for the whole server: whoever asks while a part is being checked gets the answer of that check."""
+    """One for the whole server: a caller that asks while a part is being checked gets the result of that check."""
 
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store) -> None:
         self._settings = settings
@@ -94,7 +93,7 @@ class Readiness:
         self._checks = {name: SharedCall(partial(_check, name, check)) for name, check in parts.items()}
 
     async def checks(self) -> dict[str, str]:
-        """Return `ok` or what is wrong for each part; none of them waits for another."""
+        """Return `ok` or the fault of each part; the checks do not wait for each other."""
         words = await asyncio.gather(*map(_answer, self._checks.values()))
         return dict(zip(self._checks, words, strict=True))
 
@@ -121,7 +120,7 @@ class Readiness:
 
 
 def _check(name: str, check: Callable[[], None]) -> str:
-    """Check one part. The true reason goes to the log; it may hold paths."""
+    """Check one part. The true reason is only logged, because it may contain paths."""
     try:
         check()
     except _WrongError as error:
@@ -163,12 +162,12 @@ class Metrics:
         self._text = SharedCall(lambda: generate_latest(self.registry))
 
     async def text(self) -> bytes:
-        """Return the figures as text; those who ask at the same time get the same. TimeoutError."""
+        """Return the figures as text; simultaneous callers get the same text. TimeoutError."""
         return await self._text.result(_FIGURES_WAIT_S)
 
 
 class JobFigures(Collector):
-    """What the database knows, asked at each scrape; without a database, only that there is none."""
+    """Figures of the database, read at each scrape; without a database, only the fact that it is away."""
 
     def __init__(self, database: sa.Engine) -> None:
         self._database = database
@@ -199,7 +198,7 @@ def _jobs(connection: sa.Connection, counted: Mapping[Counter, float]) -> Iterat
 
 
 def _stages(counted: Mapping[Counter, float]) -> Iterator[GaugeMetricFamily]:
-    """Yield stages of all jobs there ever were. A retried stage counts as often as it was tried."""
+    """Yield figures of the stages of all jobs ever. A retried stage counts as often as it was tried."""
     count = GaugeMetricFamily("causticmill_stage_runs", "Tries of stages that have ended", labels=["stage", "state"])
     spent = GaugeMetricFamily("causticmill_stage_seconds", "Time in committed stages", labels=["stage"])
     interrupted = 0.0
@@ -256,6 +255,6 @@ class MetricsMiddleware:
         await self._app(scope, receive, send_noted)
 
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
-        route = getattr(scope.get("route"), "path", "none")  # never the address itself: there is no end to those
+        route = getattr(scope.get("route"), "path", "none")  # never the address itself: there would be endlessly many
         method = scope["method"] if scope["method"] in _METHODS else "other"
         self._metrics.seconds.labels(method, route, str(status)).observe(seconds)

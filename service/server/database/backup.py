@@ -1,11 +1,11 @@
-"""Everything that a server knows as one tar file, made while it runs; and back into an empty data folder: whole and
+"""Backs up all data of a running server into one tar file, and restores it into an empty data folder: completely and
 with every hash checked, or not at all.
 
-Order makes it consistent: the engine's database first, then that of the jobs, then the objects. What the engine knows
-late is submitted again, what it knows too long ends at once, and every object a job names was there before. Left out:
-what agents of mills keep (where a mill stands is true of that mill at that time only), scratch files and uploads. The
-last member, `manifest.json`, says what must be in it: a backup without it is not whole. Whether every object of the
-store still is what its name says, `verify_store` tells.
+The order makes it consistent: first the engine's database, then that of the jobs, then the objects. Tickets that the
+engine lacks are submitted again, outdated ones end at once, and every object that a job names already existed. Not
+included: data of the agents of mills (a mill's position is only true of that mill at that time), scratch files and
+uploads. The last member, `manifest.json`, lists the contents: a backup without it is incomplete. `verify_store` checks
+that every object of the store still matches its name.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MANIFEST = "manifest.json"
 
 
 def back_up(settings: ServerSettings, target: Path) -> list[str]:
-    """Write the backup; the lines say what is in it, and what is not. `target` - is standard output."""
+    """Write the backup; return lines about its contents and omissions. `target` - is standard output."""
     if settings.embedded and not (settings.data / DATABASES[-1]).is_file():
         raise InputError(f"--data {settings.data}: there is no {DATABASES[-1]}; allowed: the folder of a server")
     store = open_store(settings)
@@ -83,7 +83,7 @@ def _add_databases(tar: tarfile.TarFile, settings: ServerSettings) -> dict[str, 
 
 
 def _add_objects(tar: tarfile.TarFile, store: Store) -> tuple[int, int, list[str], int]:
-    """Return how many, how many bytes, which of them are damaged, how many went meanwhile."""
+    """Return the number of objects, their bytes, the damaged ones, and the number deleted meanwhile."""
     count = size = gone = 0
     damaged = []
     for stored in store.list():
@@ -104,7 +104,7 @@ def object_name(sha256: str) -> str:
 
 
 class _Hashing(io.RawIOBase):
-    """The pieces of an object as a file, hashed on the way."""
+    """The pieces of an object as a file, which computes their hash."""
 
     def __init__(self, pieces: Iterator[bytes]) -> None:
         self._pieces = pieces
@@ -140,7 +140,7 @@ def _add(
 
 @contextlib.contextmanager
 def _create_whole(target: Path) -> Iterator[IO[bytes]]:
-    """Create a file that appears whole or not at all; nobody else may read it."""
+    """Create a file that appears complete or not at all and that only its owner may read."""
     if str(target) == "-":
         yield sys.stdout.buffer
         return
@@ -154,7 +154,7 @@ def _create_whole(target: Path) -> Iterator[IO[bytes]]:
 
 
 def verify_store(settings: ServerSettings) -> list[str]:
-    """Verify every object; FailedError names each that is not what it is called."""
+    """Verify every object; FailedError names each one that does not match its name."""
     store, count, size, damaged = open_store(settings), 0, 0, []
     for stored in store.list():
         digest = hashlib.sha256()
@@ -181,9 +181,9 @@ _WITHOUT_DATABASE = [
 
 
 def restore_backup(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
-    """Restore; return lines that say what was restored, what the backup lacked, and what became of the tokens.
+    """Restore a backup; return lines about what was restored, what the backup lacked, and the tokens.
 
-    They are all revoked unless keep_tokens: the backup does not know which of them have been since it was made.
+    All tokens are revoked unless keep_tokens: the backup does not know which were revoked after it was made.
     """
     with _begin_empty(settings.data), _open(source) as tar:
         folder = settings.data / _ARRIVING
@@ -204,7 +204,7 @@ def restore_backup(source: Path, settings: ServerSettings, *, keep_tokens: bool 
 
 
 def _end_tokens(folder: Path) -> int:
-    """Revoke what the arrived database holds; how many were live."""
+    """Revoke all tokens of the restored database; return how many were live."""
     path = folder / DATABASES[-1]
     if not path.is_file():
         return 0
@@ -228,7 +228,7 @@ def _words_of_tokens(ended: int | None, data: Path) -> list[str]:
 
 
 def _take(tar: tarfile.TarFile, folder: Path, store: Store) -> tuple[dict[str, str], list[str]]:
-    """Take what arrived; return the hash of each database and object, and objects that are not what they are called."""
+    """Unpack the members; return the hash of each database and object, and the objects that do not match."""
     hashes: dict[str, str] = {}
     damaged: list[str] = []
     for member in tar:
@@ -284,7 +284,7 @@ def _require_whole(manifest: dict[str, Any], hashes: dict[str, str], damaged: li
 
 @contextlib.contextmanager
 def _begin_empty(data: Path) -> Iterator[None]:
-    """Begin with an empty folder of our own; as empty again if anything goes wrong."""
+    """Take over an empty folder; empty it again if anything goes wrong."""
     try:
         if data.exists() and any(data.iterdir()):
             raise InputError(f"--data {data} is not empty; allowed: a new or empty folder")

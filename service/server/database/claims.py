@@ -1,5 +1,5 @@
-"""The job book as workers write it. Each write names the fence under which the worker claimed the job; once another
-worker has claimed it, or it has ended, the write changes nothing and raises `Fenced`.
+"""The workers' part of the job book. Each write names the fence under which the worker claimed the job. If another
+worker has claimed it since, or it has ended, the write changes nothing and raises `Fenced`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from service.server.database.tables import artifacts, executors, jobs, progress,
 from service.server.queue.engine import Fenced, Ticket
 
 WORDS_CHARS = 2000
-# Interruptions that are the worker's, not the stage's, and so do not count as tries of it.
+# Interruptions caused by the worker, not the stage, which do not count as tries.
 LOST = "its worker ended, or was not heard of for too long"
 STOPPED = "its worker was stopped"
 
@@ -56,7 +56,7 @@ class StageTry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageClose:
-    """How a try ended that made nothing. `log`: what its process said."""
+    """The end of a try without a result. `log`: of its process."""
 
     state: StageState
     words: str
@@ -71,7 +71,7 @@ class WorkBook:
         self._lease_s = lease_s
 
     def claim(self, ticket: Ticket, executor: str) -> Claim | None:
-        """Claim the job of a ticket; None where there is nothing (more) to do. Fenced while another live worker owns
+        """Claim the job of a ticket; None if there is nothing (more) to do. Fenced while another live worker owns
         it.
 
         Tries that an earlier owner left open become `interrupted`.
@@ -110,13 +110,13 @@ class WorkBook:
             return begun
 
     def find_result(self, key: str) -> StageResult | None:
-        """Return what equal work made before, if it was done."""
+        """Return the result of equal earlier work, if there is any."""
         with begin_reading(self._database) as connection:
             row = connection.execute(sa.select(stage_results).where(stage_results.c.key == key)).mappings().first()
         return None if row is None else _result_of(row)
 
     def reuse_stage(self, claim: Claim, stage: str, key: str, *, whole: float) -> StageResult | None:
-        """Take over the result of equal work done before for this job; None where there is none."""
+        """Take over the result of equal work done before for this job; None if there is none."""
         with begin_writing(self._database) as connection:
             job, at = _lock_held_job(connection, claim), clock(connection)
             used = stage_results.update().where(stage_results.c.key == key).values(used_at=at)
@@ -133,7 +133,7 @@ class WorkBook:
             return result
 
     def forget_result(self, key: str) -> None:
-        """Forget a result, whose work has to be done again: its files are no longer in the store."""
+        """Delete a result whose files are no longer in the store, so that its work is done again."""
         with begin_writing(self._database) as connection:
             drop_results(connection, [key])
 
@@ -144,7 +144,7 @@ class WorkBook:
         with begin_writing(self._database) as connection:
             job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):
-                return  # asked again, as the answer to the first time was lost
+                return  # repeated, because the answer to the first call was lost
             state, peak = str(StageState.COMMITTED), result.peak_rss_mb
             _close_try(connection, begun, state=state, ended_at=at, peak_rss_mb=peak, log_sha256=log and log.sha256)
             add_to_counters(connection, {Counter("stage_seconds", begun.stage, state): result.seconds})
@@ -163,7 +163,7 @@ class WorkBook:
             write_event(connection, job.id, "stage.committed", data, at=at)
 
     def end_stage(self, claim: Claim, begun: StageTry, close: StageClose) -> None:
-        """End a try that made nothing: interrupted (tried again), failed or cancelled."""
+        """End a try without a result: interrupted (tried again), failed or cancelled."""
         with begin_writing(self._database) as connection:
             job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):
@@ -180,9 +180,7 @@ class WorkBook:
                 write_event(connection, job.id, f"stage.{close.state}", data, at=at)
 
     def note_progress(self, claim: Claim, stage: str, share: float, *, whole: float) -> None:
-        """Note how far the stage (`share`) and the job (`whole`) are. Nothing happens where the job is no longer
-        ours.
-        """
+        """Record the progress of the stage (`share`) and the job (`whole`). Do nothing if the job is no longer ours."""
         ours = sa.and_(jobs.c.id == claim.job.id, jobs.c.fence == claim.fence)
         with begin_writing(self._database) as connection:
             if connection.execute(jobs.update().where(ours).values(progress=whole)).rowcount:
@@ -240,7 +238,7 @@ def interrupt_tries(connection: sa.Connection, job: Job, *, at: float) -> None:
 
 
 def drop_results(connection: sa.Connection, keys: Collection[str]) -> int:
-    """Forget what stages made, so that equal work is done again. How many there were."""
+    """Delete the results of stages, so that equal work is done again. Return their number."""
     dropped = connection.execute(stage_results.delete().where(stage_results.c.key.in_(keys))).rowcount
     add_to_counters(connection, {STAGE_RESULTS: -dropped})
     return dropped
@@ -273,7 +271,7 @@ def _add_try(
 
 
 def _is_done(connection: sa.Connection, claim: Claim, stage: str, key: str) -> bool:
-    """Return whether this attempt has done it, and none of the stages before it once more since."""
+    """Return whether this attempt has done the stage, and has not repeated an earlier stage since."""
     table = stage_runs.c
     mine = sa.and_(table.job_id == claim.job.id, table.attempt == claim.job.attempt, table.state.in_(DONE))
     rows = connection.execute(sa.select(table.stage, table.key).where(mine).order_by(table.id)).all()
@@ -295,7 +293,7 @@ def _close_try(connection: sa.Connection, begun: StageTry, *, state: str, **valu
 
 
 def _offer(connection: sa.Connection, job: Job, stage: str, files: Mapping[str, FileRef], at: float) -> None:
-    """Offer the files of a stage as the job's, in place of what an earlier attempt's stage had made."""
+    """Offer the files of a stage as the job's, in place of those from an earlier attempt."""
     old = sa.and_(artifacts.c.job_id == job.id, artifacts.c.stage == stage)
     connection.execute(artifacts.delete().where(old))
     put_rows(connection, artifacts, [_artifact(job.id, name, file, stage, at) for name, file in files.items()])

@@ -1,15 +1,16 @@
-"""The connection to the database, the few words in which SQLite and PostgreSQL differ, and the version of the tables.
+"""The connection to the database, the few statements in which SQLite and PostgreSQL differ, and the version of the
+tables.
 
 All access is SQLAlchemy Core, the same code for both. Every change is made in `begin_writing`: on SQLite that takes
 the write lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL the changes
 lock the rows they are about.
 
 Workers bring a database up to date, everything else waits until one has. A database without tables gets those of
-`tables.py`, and their version; the migrations are for those that have some. There is a way back from each upgrade,
-since an older program refuses newer tables. Beside a SQLite file a copy of it is made first, which stays:
-causticmill.sqlite.before-0006. Of PostgreSQL a program cannot make one in good conscience: the upgrade of tables that
-hold jobs waits until a person says with CAUSTICMILL_UPGRADE_TO that a dump of them is kept. alembic is imported only
-where there is something to do: it is slow to import and large, and mostly there is not.
+`tables.py`, and their version; the migrations are for those that have some. Each upgrade can be undone, because an
+older program refuses newer tables. A SQLite file is first copied to causticmill.sqlite.before-0006 beside it, and the
+copy stays. A PostgreSQL database is not copied by the program: the upgrade of tables that hold jobs waits until a
+person states with CAUSTICMILL_UPGRADE_TO that a dump of them is kept. alembic is large and slow to import, so it is
+imported only if there is something to do.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def connect(url: str) -> sa.Engine:
         sa.event.listen(engine, "connect", _prepare_sqlite)
         sa.event.listen(engine, "begin", _begin_sqlite)
         return engine
-    # Keepalives: a host that is gone is noticed in about 25 s rather than in hours.
+    # Keepalives: the loss of a host is noticed in about 25 s rather than in hours.
     connect_args = {"connect_timeout": CONNECT_TIMEOUT_S, "keepalives_idle": 10, "keepalives_interval": 5}
     return sa.create_engine(
         url, json_serializer=_as_json, pool_pre_ping=True, pool_timeout=BUSY_TIMEOUT_S, connect_args=connect_args
@@ -57,7 +58,7 @@ def connect(url: str) -> sa.Engine:
 def copy_sqlite(source: Path, target: Path) -> None:
     """Copy a database that is in use, by SQLite's own backup: it neither waits for writers nor stops them.
 
-    The new file is its account's alone. FailedError.
+    Only the account itself can read the new file. FailedError.
     """
     try:
         os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600))
@@ -71,9 +72,10 @@ def copy_sqlite(source: Path, target: Path) -> None:
 
 
 def use_wal(connection: sqlite3.Connection) -> None:
-    """Let readers and a writer of a database work side by side; the file keeps this.
+    """Let readers and a writer of a database work concurrently; the setting is stored in the file.
 
-    SQLite does not wait for two that change the mode at once: each holds what the other asks for, and one fails.
+    SQLite does not resolve two simultaneous changes of the mode: each holds the lock that the other needs, and one
+    fails.
     """
     give_up = time.monotonic() + BUSY_TIMEOUT_S
     while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
@@ -98,7 +100,9 @@ def begin_reading(database: sa.Engine) -> Iterator[sa.Connection]:
 
 @contextmanager
 def begin_writing(database: sa.Engine) -> Iterator[sa.Connection]:
-    """Begin a transaction that changes things: all of them, on disk, when it ends without an exception; else none."""
+    """Begin a transaction that writes: all its changes are on disk when it ends without an exception; otherwise none
+    is.
+    """
     with database.connect().execution_options(writes=True) as connection, connection.begin():
         yield connection
 
@@ -111,7 +115,7 @@ def clock(connection: sa.Connection) -> float:
 
 
 def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, Any]) -> bool:
-    """Insert a row; False, and nothing done, where its key is there already."""
+    """Insert a row; do nothing and return False if its key exists already."""
     insert = sqlite.insert if is_sqlite(connection) else postgresql.insert
     new = insert(table).values(**values).on_conflict_do_nothing().returning(sa.literal(1))
     return connection.execute(new).first() is not None
@@ -150,7 +154,7 @@ def _begin_sqlite(connection: sa.Connection) -> None:
 
 
 def _take_write_lock(connection: sa.Connection) -> None:
-    """Ask for the lock every 2 ms: SQLite's own waiting backs off to 100 ms, and others pass it all the time."""
+    """Ask for the lock every 2 ms: SQLite's own wait backs off to 100 ms, and others overtake it all the time."""
     give_up = time.monotonic() + BUSY_TIMEOUT_S
     connection.exec_driver_sql("PRAGMA busy_timeout = 0")
     try:
@@ -168,13 +172,13 @@ def _take_write_lock(connection: sa.Connection) -> None:
 
 HEAD = "0006"  # the last of the migrations; a test compares
 FOLDER = Path(__file__).parent / "migrations"
-LOCK = 0x63617573  # of PostgreSQL, while the tables change
+LOCK = 0x63617573  # advisory lock of PostgreSQL, while the tables change
 POLL_S = 0.05
 _TABLE = sa.table("alembic_version", sa.column("version_num"))
 
 
 def upgrade_schema(database: sa.Engine, *, allowed: str | None = None) -> None:
-    """Bring the tables up to date, one process at a time. FailedError where they are newer than this program.
+    """Bring the tables up to date, one process at a time. FailedError if they are newer than this program.
 
     allowed : the version to which PostgreSQL's tables may be brought although they hold jobs; InputError otherwise
     """
@@ -211,7 +215,7 @@ def await_schema(database: sa.Engine, timeout_s: float) -> None:
 
 
 def alembic_config() -> Config:
-    """Return what alembic needs to know of us."""
+    """Return the configuration for alembic."""
     from alembic.config import Config
 
     config = Config()
@@ -235,7 +239,9 @@ def _read_version(connection: sa.Connection) -> str | None:
 
 
 def _keep_way_back(connection: sa.Connection, found: str, allowed: str | None) -> None:
-    """Make the copy, or see that a person has. Nobody else upgrades meanwhile: the connection holds the lock."""
+    """Make the copy, or check that a person has made one. No one else upgrades meanwhile: the connection holds the
+    lock.
+    """
     if is_sqlite(connection):
         path = Path(str(connection.engine.url.database))
         copy, part = (path.with_name(f"{path.name}.before-{HEAD}{end}") for end in ("", ".part"))

@@ -1,13 +1,13 @@
-"""Rows of jobs, read and changed under a lock by whatever works on jobs, runs and claims; what is written in the same
-transaction as a change: the event that tells of it, and the counters; and the files that a job offers.
+"""Rows of jobs, read and changed under a lock by the books of jobs, runs and claims; the event and the counters that
+are written in the same transaction as a change; and the files that a job offers.
 
-Counters are figures about all jobs, kept as they change: to count a hundred thousand rows at each scrape takes seconds.
-They change in the same transaction as the rows they count. A counter's row is locked until its transaction ends. So
-that two transactions cannot wait for each other, each of them changes the counters of stages before that of jobs, and
-rows of one call in the order of their keys.
+Counters are figures about all jobs, updated with each change, because counting a hundred thousand rows at each scrape
+takes seconds. They change in the same transaction as the rows they count. A counter's row is locked until its
+transaction ends. So that two transactions cannot wait for each other, each of them changes the counters of stages
+before that of jobs, and rows of one call in the order of their keys.
 
 A job offers the files of its committed stages, programs only once all of them have been checked. An attempt that was
-begun by one version of the program and goes on with another does stages again that were done: a check is worth nothing
+begun by one version of this software and continues with another repeats finished stages, because a check is not valid
 for programs that were made after it.
 """
 
@@ -59,7 +59,7 @@ class Counter:
     state: str = ""
 
 
-ARTIFACT_BYTES = Counter("artifact_bytes")  # as the last sweep of the store has found it
+ARTIFACT_BYTES = Counter("artifact_bytes")  # as found by the last sweep of the store
 RECOVERIES = Counter("recoveries")
 STAGE_RESULTS = Counter("stage_results")
 
@@ -80,7 +80,7 @@ def set_counter(connection: sa.Connection, counter: Counter, value: float) -> No
 
 
 def read_counters(connection: sa.Connection) -> dict[Counter, float]:
-    """Return all of them: a few dozen rows."""
+    """Return all counters: a few dozen rows."""
     rows = connection.execute(sa.select(counters))
     return {Counter(row.name, row.stage, row.state): row.value for row in rows}
 
@@ -99,9 +99,9 @@ def read_events(connection: sa.Connection, job_id: str, after: int, limit: int) 
 
 
 def read_news(connection: sa.Connection, after: Mapping[str, int]) -> News:
-    """Return events of many jobs after the given ones, at most 5000, and how far their running stages are.
+    """Return events of many jobs after the given ones, at most 5000, and the progress of their running stages.
 
-    Mostly nothing has happened: the last event of each job tells, by one query for all of them.
+    Usually there is nothing new, which one query for the last event of each job shows.
     """
     last = sa.func.max(events.c.seq)
     query = sa.select(events.c.job_id, last).where(events.c.job_id.in_(after)).group_by(events.c.job_id)
@@ -129,13 +129,13 @@ def open_run_of(connection: sa.Connection, job_id: str) -> str | None:
 def claim_key(
     connection: sa.Connection, kind: str, key: ClientKey, request_sha256: str, resource_id: str, *, at: float
 ) -> bool:
-    """Let a caller's key stand for a new job or run; False, and nothing done, where it stands for one already."""
+    """Reserve a caller's key for a new job or run; do nothing and return False if it is already used."""
     row = {"principal": key.token, "kind": kind, "key": key.text, "request_sha256": request_sha256}
     return insert_new(connection, idempotency_keys, row | {"resource_id": resource_id, "created_at": at})
 
 
 def find_by_key(connection: sa.Connection, kind: str, key: ClientKey, request_sha256: str) -> str | None:
-    """Return the id of what this key has made. KeyReusedError where it stood for another request."""
+    """Return the id of what this key has made. KeyReusedError if it stood for another request."""
     table = idempotency_keys.c
     mine = sa.and_(table.principal == key.token, table.kind == kind, table.key == key.text)
     row = connection.execute(sa.select(table.request_sha256, table.resource_id).where(mine)).first()
@@ -211,8 +211,8 @@ def list_offered_programs(connection: sa.Connection, job_ids: Collection[str]) -
 
 
 def may_be_milled(connection: sa.Connection, job: Job) -> bool:
-    """Return whether mills may have programs: once they are checked, though the job goes on with pictures of what they
-    make; never those of a job that has failed or was given up.
+    """Return whether programs may be sent to mills: once they are checked, even if the job still draws their pictures;
+    never those of a job that has failed or was cancelled.
     """
     if job.state is not JobState.RUNNING:
         return job.state is JobState.SUCCEEDED

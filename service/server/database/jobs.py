@@ -1,6 +1,5 @@
-"""The job book: jobs as the API sees and changes them. Each change, and the event that tells of it, is one transaction.
-
-What workers change is in service/server/database/claims.py. Both lock the job's row before they look at it.
+"""The job book: jobs as the API sees and changes them. Each change and its event are one transaction. Changes by
+workers are in service/server/database/claims.py. Both lock the job's row before they look at it.
 """
 
 from __future__ import annotations
@@ -59,13 +58,13 @@ from service.server.database.tables import artifacts, idempotency_keys, jobs, st
 from service.store.base import Store
 
 NAME_CHARS = 255
-MOST_POSITIONS = 1000  # in the queue that are counted: whoever waits behind so many waits, wherever
+MOST_POSITIONS = 1000  # places in the queue that are counted: behind so many jobs the exact place does not matter
 _PICTURES = (*THUMBNAILS, TARGET_PICTURE)  # jobs of earlier versions have only the large one
 _SUMMARY = [jobs.c[field.name] for field in fields(JobListRow)]
 
 
 class JobBook:
-    """Jobs of one database. `store`, where given, is asked whether it (still) has the picture of a new job."""
+    """Jobs of one database. `store`, if given, is asked whether it (still) has the picture of a new job."""
 
     def __init__(self, database: sa.Engine, store: Store | None = None) -> None:
         self.database = database
@@ -74,7 +73,7 @@ class JobBook:
     # ------------------------------------------------------------------ making and changing
 
     def create(self, new: NewJob) -> tuple[Job, bool]:
-        """Create a queued job; False where the same request with the same key made it before. KeyReusedError."""
+        """Create a queued job; False if the same request with the same key made it before. KeyReusedError."""
         if self._store is not None:
             self._store.head(new.image_sha256)
         with begin_writing(self.database) as connection:
@@ -103,7 +102,7 @@ class JobBook:
             return get_job(connection, job_id)
 
     def retry(self, job_id: str, by: str) -> Job:
-        """Queue an ended job once more. What its stages had finished stands; its files appear again on the way.
+        """Queue an ended job once more. Its finished stages are kept; its files appear again as the attempt proceeds.
 
         JobOnMillError while a run of one of its programs is open.
         """
@@ -119,7 +118,7 @@ class JobBook:
             return get_job(connection, job_id)
 
     def delete(self, job_id: str) -> Job:
-        """Forget a job that neither runs nor is on a mill, its idempotency key included. Returns what it was."""
+        """Delete a job that neither runs nor is on a mill, including its idempotency key. Return the deleted job."""
         with begin_writing(self.database) as connection:
             job = lock_job(connection, job_id)
             if job.state == JobState.RUNNING:
@@ -136,9 +135,9 @@ class JobBook:
     def list_rows(
         self, *, states: Collection[JobState] = (), limit: int = 50, before: str | None = None
     ) -> list[JobListRow]:
-        """List jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).
+        """List jobs, newest first; those older than the job `before` (UnknownJobError if it is gone).
 
-        Of several states each is asked for by itself, in the order of its index, and the newest of all are taken.
+        Each of several states is queried separately, in the order of its index; of all results the newest are taken.
         """
         place = sa.tuple_(jobs.c.created_at, jobs.c.id)
         query = sa.select(*_SUMMARY).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
@@ -156,16 +155,16 @@ class JobBook:
             return [StageRun.of(row) for row in connection.execute(query).mappings()]
 
     def report_so_far(self, job: Job) -> dict[str, Any] | None:
-        """Return report.json of the stages that are done in this attempt; a job that has ended has it itself."""
+        """Return the report of the stages that are done in this attempt; an ended job holds its report itself."""
         with begin_reading(self.database) as connection:
             return _read_reports(connection, [job.id]).get(job.id)
 
     def add_report(self, job: Job) -> Job:
-        """Return the job; where it has not ended, with what its finished stages report."""
+        """Return the job; if it has not ended, with the reports of its finished stages."""
         return replace(job, report=self.report_so_far(job)) if _is_without_report(job) else job
 
     def list_with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
-        """Return those of the jobs that there are, as `add_report`, each with the programs that it offers."""
+        """Return those of the jobs that exist, as `add_report` does, each with the programs that it offers."""
         with begin_reading(self.database) as connection:
             rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
             found = {job.id: job for job in map(Job.of, rows)}
@@ -175,7 +174,7 @@ class JobBook:
         return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
 
     def may_be_milled(self, job: Job) -> bool:
-        """Return whether a mill may have its programs, as `job_rows.may_be_milled`."""
+        """Return whether its programs may be sent to a mill, as `job_rows.may_be_milled` decides."""
         with begin_reading(self.database) as connection:
             return may_be_milled(connection, job)
 
@@ -192,13 +191,13 @@ class JobBook:
         raise UnknownArtifactError(job_id, name)
 
     def list_pictures(self, job_ids: Collection[str]) -> dict[str, str]:
-        """Return by job, where it has one, the small picture of what the wall will show, by its name."""
+        """Return, by job, the name of the small picture of its light; jobs without one are left out."""
         query = sa.select(artifacts.c.job_id, artifacts.c.name).where(
             artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES)
         )
         with begin_reading(self.database) as connection:
             found = sorted(connection.execute(query), key=lambda row: _PICTURES.index(row.name), reverse=True)
-        return {row.job_id: row.name for row in found}  # the last one stays
+        return {row.job_id: row.name for row in found}  # of several, the last one counts
 
     def list_events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[JobEvent]:
         """Return events after the one numbered `after`, at most 500 of them."""
@@ -231,7 +230,7 @@ class JobBook:
 
 
 def drop_job(connection: sa.Connection, job: Job) -> None:
-    """Delete everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
+    """Delete all of a locked job except its ticket in the engine. JobOnMillError while a run of it is open."""
     _require_no_open_run(connection, job.id)
     connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
     connection.execute(jobs.delete().where(jobs.c.id == job.id))
@@ -239,7 +238,7 @@ def drop_job(connection: sa.Connection, job: Job) -> None:
 
 
 def find_oldest_queued_at(connection: sa.Connection) -> float | None:
-    """Return since when the job that has waited longest waits: the first of each priority is asked for."""
+    """Return when the longest waiting job was queued. The first job of each priority is looked up."""
     waiting = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == str(JobState.QUEUED))
     firsts = [connection.execute(waiting.where(jobs.c.priority == p)).scalar() for p in PRIORITIES.values()]
     return min((at for at in firsts if at is not None), default=None)
@@ -260,7 +259,7 @@ def _is_without_report(job: Job) -> bool:
 
 
 def _read_reports(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, dict[str, Any]]:
-    """Return by job, where there is any, report.json of the stages that are done in its present attempt."""
+    """Return, by job, the report of the stages that are done in its present attempt; jobs without any are left out."""
     if not job_ids:
         return {}
     done = stage_runs.c.state.in_([StageState.COMMITTED, StageState.REUSED])

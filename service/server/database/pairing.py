@@ -1,8 +1,9 @@
 """Codes that a person types into the page to run mills from it. A code is good for a day and any number of pages.
 
-What is kept of it is a salted scrypt digest of sixty random bits, so that a stolen database opens nothing. A graphics
-card computes some 20,000 of these digests (8 MB each) in a second. Whoever had fifty of them, 10^6 a second, would try
-8.6 10^10 codes in the day that one lives: 1 chance in 13 million that it is among them, and 36,000 years for them all.
+Only a salted scrypt digest of its sixty random bits is stored, so that a stolen database gives no access. A graphics
+card computes some 20,000 of these digests (8 MB each) in a second. An attacker with fifty of them, 10^6 a second, would
+try 8.6 10^10 codes in the day that one lives: 1 chance in 13 million that it is among them, and 36,000 years for them
+all.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _OFFER = re.compile(rf"([0-9a-f]{{32}}):((?:[{ALPHABET}]{{4}}-){{2}}[{ALPHABET}]
 
 
 class WrongCodeError(Exception):
-    """This code opens nothing. `left`: tries that are left at once."""
+    """The code is wrong. `left`: number of tries left now."""
 
     def __init__(self, left: int) -> None:
         if left > 1:
@@ -46,7 +47,7 @@ class WrongCodeError(Exception):
 
 
 class NoCodeError(Exception):
-    """Codes end after a day, and no other one was made."""
+    """Codes expire after a day, and no other one was made."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -66,7 +67,7 @@ class PairingBook:
         self._clock = clock
 
     def offer(self, offer: str) -> None:
-        """Accept its code from now on, for a day. One that was offered before stays as it is."""
+        """Accept the code of an offer from now on, for a day. A known offer stays as it is."""
         found = _OFFER.fullmatch(offer)
         if found is None:
             raise ValueError("an offer is a text of codes.new_offer")
@@ -124,7 +125,7 @@ EACH, ALL = Budget(5, 60.0), Budget(200, 20.0)
 
 
 class TooManyTriesError(Exception):
-    """This one was not looked at. everywhere: not from here alone, too many wrong codes come."""
+    """The try was not checked. everywhere: too many wrong codes come from all addresses, not only from here."""
 
     def __init__(self, wait_s: float, *, everywhere: bool) -> None:
         self.wait_s = max(1, math.ceil(wait_s))
@@ -138,7 +139,7 @@ class TooManyTriesError(Exception):
 
 
 def take_try(connection: Connection, address: str, now: float, *, counts_for_all: bool) -> None:
-    """Take a try before it is looked at, so that those that come at once are counted, too. TooManyTriesError."""
+    """Count a try before it is checked, so that simultaneous tries count too. TooManyTriesError."""
     connection.execute(
         delete(pairing_tries).where(
             pairing_tries.c.address != EVERYBODY, pairing_tries.c.at < now - EACH.most * EACH.refill_s
@@ -154,7 +155,7 @@ def take_try(connection: Connection, address: str, now: float, *, counts_for_all
 
 
 def give_back(connection: Connection, address: str, *, counts_for_all: bool) -> None:
-    """Give back a try: it was right."""
+    """Give back a try, because its code was right."""
     names = [address, EVERYBODY] if counts_for_all else [address]
     connection.execute(
         update(pairing_tries).where(pairing_tries.c.address.in_(names)).values(used=pairing_tries.c.used - 1)

@@ -1,5 +1,5 @@
-"""Jobs as the job book gives them out: the states of a job and of its stages with the one table of allowed moves
-between them, rows of the database as frozen values, and refusals.
+"""Records that the job book returns: the states of a job and of its stages, the one table of allowed moves between
+them, rows of the database as frozen values, and refusals.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class JobState(StrEnum):
 
 
 class StageState(StrEnum):
-    """What became of one try of one stage."""
+    """The outcome of one try of one stage."""
 
     RUNNING = "running"
     COMMITTED = "committed"
@@ -72,7 +72,7 @@ class JobStateError(Exception):
 
 
 class JobOnMillError(JobStateError):
-    """A run of one of the job's programs is open: what the mill is doing must stay explained."""
+    """A run of one of the job's programs is open, so the job must stay: it explains what the mill is doing."""
 
     def __init__(self, run_id: str) -> None:
         Exception.__init__(
@@ -114,7 +114,7 @@ class UnknownArtifactError(LookupError):
 
 
 class KeyReusedError(Exception):
-    """An idempotency key came a second time, with another request."""
+    """An idempotency key was used again for a different request."""
 
     def __init__(self, key: str) -> None:
         super().__init__(Phrase("this Idempotency-Key was used before, for another request; use a new one"))
@@ -141,9 +141,9 @@ class _Row:
 class NewJob:
     """What is needed to make a job.
 
-    figures        : those behind the names in the spec; None: the worker looks them up
+    figures        : the figures that the names in the spec stand for; None: the worker looks them up
     key            : the caller's Idempotency-Key
-    request_sha256 : all that the caller gave
+    request_sha256 : of everything that the caller sent
     """
 
     name: str
@@ -159,7 +159,7 @@ class NewJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobListRow(_Row):
-    """A row of `jobs` without what is long: of lists."""
+    """A row of `jobs` without its long columns, for lists."""
 
     id: str
     name: str
@@ -257,12 +257,12 @@ class Progress(_Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class News:
-    """What happened to some jobs since last asked: events in order, and the running stages' progress by job."""
+    """What happened to some jobs since the last query: events in order, and the running stages' progress by job."""
 
     events: list[JobEvent]
     progress: dict[str, Progress]
 
 
 def priority_word(number: int) -> str:
-    """Return the word nearest to a number of the queue."""
+    """Return the priority word nearest to a number of the queue."""
     return min(PRIORITIES, key=lambda word: abs(PRIORITIES[word] - number))

@@ -1,7 +1,7 @@
-"""Runs as the database has them: who handed which program to which mill, and what its agent said of it last.
+"""Runs in the database: who handed which program to which mill, and the agent's last report.
 
-The agent is the truth about a run that it knows. What is kept here is that there is one, so that a restarted server
-finds it again, and that a mill has one open run at a time, by a unique index.
+The agent is authoritative for the runs that it knows. The table records that a run exists, so that a restarted server
+finds it again, and its unique index ensures that a mill has one open run at a time.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _WORDS = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRow:
-    """A run in the server's books, a row of `runs`: a program of a job for a mill, and what is known of it.
+    """A row of `runs`: a program of a job for a mill, and its state.
 
-    id     : empty until it is in the books
+    id     : empty until the row is stored
     state  : the agent's word, or preparing, refused, lost; reason: `words` as code and values
-    view   : what the agent said last: `as_dict` of machines.runs.RunReport
-    away   : no column: why its agent could not be asked just now (None: it was asked, or need not be)
+    view   : the agent's last report: `as_dict` of machines.runs.RunReport
+    away   : no column: why its agent could not be asked now (None: it was asked, or there was no need)
     """
 
     id: str = ""
@@ -91,7 +91,7 @@ class MachineTakenError(Exception):
 
 
 class JobNotReadyError(Exception):
-    """The job's programs have not all been checked, or it has failed or was given up: none of them may be run."""
+    """The job's programs may not be run: not all of them have been checked, or the job has failed or was cancelled."""
 
     def __init__(self, job: Job) -> None:
         ending = job.state is JobState.RUNNING and job.cancel_requested
@@ -112,16 +112,16 @@ class RunBook:
         self._database = database
 
     def find_made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
-        """Return the run that this key has made. KeyReusedError where it stood for another request."""
+        """Return the run that this key has made. KeyReusedError if it stood for another request."""
         with begin_reading(self._database) as connection:
             run_id = find_by_key(connection, "run", key, request_sha256)
             return None if run_id is None else _get(connection, run_id)
 
     def create(self, new: RunRow, key: ClientKey | None = None, request_sha256: str = "") -> tuple[RunRow, bool]:
-        """Create a run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
+        """Create a run in state preparing; False if the key made it before. MachineTakenError, JobNotReadyError.
 
-        key: the caller's Idempotency-Key, request_sha256: what it stands for. The job's row is locked meanwhile, so
-        that nobody deletes it and no retry begins.
+        key: the caller's Idempotency-Key, request_sha256: of its request. The job's row is locked meanwhile, so that no
+        one deletes the job and no retry begins.
         """
         run_id = str(uuid4())
         try:
@@ -137,7 +137,7 @@ class RunBook:
             raise MachineTakenError(new.machine, self._open_id(new.machine)) from None
         assert key is not None
         before = self.find_made_before(key, request_sha256)
-        if before is None:  # made and refused by another caller in the meantime
+        if before is None:  # meanwhile made and refused by another caller
             raise MachineTakenError(new.machine, self._open_id(new.machine))
         return before, False
 
@@ -158,7 +158,7 @@ class RunBook:
     def list_rows(
         self, *, machine: str | None = None, job: str | None = None, limit: int = 50, before: str | None = None
     ) -> list[RunRow]:
-        """List runs, newest first; those older than the run `before`. UnknownRunError where that is gone."""
+        """List runs, newest first; those older than the run `before`. UnknownRunError if that is gone."""
         query = sa.select(runs).order_by(runs.c.created_at.desc(), runs.c.id.desc()).limit(limit)
         if machine is not None:
             query = query.where(runs.c.machine == machine)
@@ -187,24 +187,24 @@ class RunBook:
     # ------------------------------------------------------------------ what happens to a run
 
     def confirm_parked(self, run_id: str, view: Json) -> bool:
-        """Confirm that the agent has it. False where the run was closed meanwhile."""
+        """Note that the agent has the run. False if the run was closed meanwhile."""
         values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view} | read_reason(view)
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             return connection.execute(runs.update().where(mine).values(**values)).rowcount == 1
 
     def record_report(self, run: RunRow, view: Json) -> RunRow:
-        """Return what the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
+        """Record the agent's report and return the run. A run that has ended is closed; one that continues is reopened.
 
-        Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same. What a
-        database that is full or busy cannot write down now is told as well, and again at the next look.
+        If another run has taken the mill meanwhile the run stays closed; its state is returned all the same. So is a
+        state that a full or busy database cannot store now; it is stored at the next look.
         """
         state = str(view["state"])
         is_open = state not in ENDED and (run.open or state in LIVE_WORDS)
         values: Json = {"state": state, "view": view, "open": is_open} | read_reason(view)
         values["ended_at"] = view.get("ended_s") if not is_open else None
         if run.state == state and run.open == values["open"] and not _news(run.view, view):
-            return replace(run, view=view)  # how far it is, though that is not written down
+            return replace(run, view=view)  # with its progress, although that is not stored
         try:
             self._write(run.id, values)
         except IntegrityError:
@@ -216,7 +216,7 @@ class RunBook:
     def close(
         self, run_id: str, state: str, words: str, reason: Json | None = None, *, forget_key: bool = False
     ) -> None:
-        """Close a run: never handed over, taken back, or given up. An ended run stays what it is."""
+        """Close a run that was never handed over, was taken back, or is given up. An ended run does not change."""
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             phrases = phrases_in((words, reason))
@@ -228,7 +228,7 @@ class RunBook:
                 connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == run_id))
 
     def reopen(self, run: RunRow) -> None:
-        """Reopen it before a recovery: the mill's place is taken first. MachineTakenError."""
+        """Reopen a run before a recovery, which reserves the mill. MachineTakenError."""
         try:
             self._write(run.id, {"open": True})
         except IntegrityError:
@@ -256,7 +256,7 @@ def _first_row(new: RunRow, run_id: str, at: float) -> Json:
 
 
 def word_state(state: str) -> str:
-    """Return a run's state as a sentence has it."""
+    """Return a run's state as words of a sentence."""
     own = {PREPARING: Phrase("preparing"), REFUSED: Phrase("refused"), LOST: Phrase("lost")}
     return own[state] if state in own else RunState(state).words
 
@@ -268,11 +268,13 @@ def read_reason(view: Json) -> Json:
 
 
 def make_reason(code: str, values: Mapping[str, object] | None = None) -> Json | None:
-    """Make `reason` of a row; None where there is no code: then its words are all there is."""
+    """Make `reason` of a row; None if there is no code, but only words."""
     return {"code": code, "values": dict(values or {})} if code else None
 
 
 def _news(before: Json | None, now: Json) -> bool:
-    """Return whether it is worth a write. Lines alone are not: they change all the time, and the agent knows them."""
-    told = ("words", "code", "values", "recoveries", "operator", "started_s", "ended_s")
-    return before is None or any(before.get(name) != now.get(name) for name in told)
+    """Return whether the report is worth storing. Line numbers alone are not: they change all the time, and the agent
+    has them.
+    """
+    names = ("words", "code", "values", "recoveries", "operator", "started_s", "ended_s")
+    return before is None or any(before.get(name) != now.get(name) for name in names)

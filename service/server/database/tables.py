@@ -1,7 +1,7 @@
 """The database: one table per thing that must survive a crash. Times are seconds since 1970, ids are text.
 
-`jobs` is the truth about a job. The engine only promises that what was submitted to it runs until it has ended; every
-write of a worker names the fence under which it owns the job, so what a dead owner writes late changes nothing.
+`jobs` is authoritative for a job. The engine only guarantees that a submitted ticket runs until it has ended. Every
+write of a worker names the fence under which it owns the job, so late writes of a dead owner change nothing.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ Index(None, jobs.c.state, jobs.c.created_at, jobs.c.id)  # the list of one state
 Index(None, jobs.c.state, jobs.c.priority, jobs.c.queued_at, jobs.c.id)  # the queue
 Index(None, jobs.c.ended_at, jobs.c.id)  # retention
 
-# One row per try of a stage. log_sha256: what the stage's process said, kept as an artifact.
+# One row per try of a stage. log_sha256: the log of the stage's process, kept as an artifact.
 stage_runs = Table(
     "stage_runs",
     metadata,
@@ -86,8 +86,8 @@ stage_runs = Table(
     Column("words", String(2000)),
 )
 
-# What a stage made, by the content of everything it depends on. outputs = {name: {sha256, bytes}}; report and notes are
-# its part of report.json. Shared by all jobs; job_id is the one that paid for it, for the record only.
+# The results of a stage, by the content of everything on which it depends. outputs = {name: {sha256, bytes}}; report
+# and notes are its part of report.json. Shared by all jobs; job_id is the job that computed it, for information only.
 stage_results = Table(
     "stage_results",
     metadata,
@@ -103,7 +103,7 @@ stage_results = Table(
     Column("used_at", Float, nullable=False, index=True),
 )
 
-# The files in `outputs`, one row each, to be found by their hash.
+# The files in `outputs`, one row each, indexed by their hash.
 result_files = Table(
     "result_files",
     metadata,
@@ -124,7 +124,7 @@ artifacts = Table(
     Column("created_at", Float, nullable=False),
 )
 
-# What happened to a job, in order; seq counts from 1 in each job and is the id of a server-sent event.
+# The events of a job, in order; seq counts from 1 in each job and is the id of a server-sent event.
 events = Table(
     "events",
     metadata,
@@ -135,7 +135,7 @@ events = Table(
     Column("data", JSON, nullable=False),
 )
 
-# How far the running stage is: overwritten at most twice a second, lost without harm.
+# Progress of the running stage: overwritten at most twice a second; its loss does no harm.
 progress = Table(
     "progress",
     metadata,
@@ -145,7 +145,8 @@ progress = Table(
     Column("at", Float, nullable=False),
 )
 
-# Which request made which thing, so that a client may ask again. principal: id of the token; kind = "job" | "run".
+# Which request made which thing, so that a client can repeat a request. principal: id of the token; kind = "job" |
+# "run".
 idempotency_keys = Table(
     "idempotency_keys",
     metadata,
@@ -157,7 +158,7 @@ idempotency_keys = Table(
     Column("created_at", Float, nullable=False),
 )
 
-# Figures that would take a scan to count: each is changed in the transaction that changes what it counts.
+# Counters that would otherwise need a scan: each is changed in the same transaction as the rows that it counts.
 counters = Table(
     "counters",
     metadata,
@@ -215,7 +216,7 @@ pairing_tries = Table(
     Column("at", Float, nullable=False),
 )
 
-# Programs given to mills. agent_run is the agent's own id of the run; view is what the agent said of it last. reason is
+# Programs given to mills. agent_run is the agent's own id of the run; view is the agent's last report on it. reason is
 # {code, values} of what `words` say; null where there is no code, and in rows from before there were codes.
 runs = Table(
     "runs",

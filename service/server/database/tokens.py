@@ -1,6 +1,6 @@
-"""Who may do what: tokens with scopes. Only a token's SHA-256 is kept, so a stolen database opens nothing.
+"""Tokens with scopes: who may do what. Only a token's SHA-256 is stored, so a stolen database gives no access.
 
-The secret is 256 random bits, so its hash needs no salt and no slow function, and may be looked up by value.
+The secret is 256 random bits, so its hash needs no salt and no slow function, and can be looked up by value.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _SECRET = re.compile(r"cm_[A-Za-z0-9_-]{43}")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._@-]{0,79}")
 _USE_NOTED_EVERY_S = 60.0
 _ENDED_KEPT_S = 14 * 86400.0
-PAGE_TOKEN_LIFE_S = 86400.0  # of the one that the page gets for a code; a run renews it
+PAGE_TOKEN_LIFE_S = 86400.0  # of the token that the page gets for a code; a run renews it
 LONGEST_LIFE_S = 100 * 365 * 86400.0
 
 
 class TokenScope(StrEnum):
-    """What a token may be good for. None of them contains another."""
+    """The scopes of tokens. None of them includes another."""
 
     JOBS_READ = "jobs:read"
     JOBS_WRITE = "jobs:write"
@@ -44,7 +44,7 @@ class TokenScope(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Token:
-    """What is known of a token; times are seconds since 1970, None = never. paired: made with a code, by a page."""
+    """A token's record; times are seconds since 1970, None = never. paired: made with a code, by a page."""
 
     id: str
     name: str
@@ -68,7 +68,9 @@ class TokenBook:
         self._noted: dict[str, float] = {}
 
     def create(self, name: str, scopes: Iterable[str], *, expires_at: float | None = None) -> tuple[Token, str]:
-        """Create a token and its secret, which is nowhere else and never shown again. InputError where it cannot be."""
+        """Create a token and return its secret, which is not stored and never shown again. InputError if it is not
+        allowed.
+        """
         now = self._clock()
         wanted = check_scopes(scopes)
         if not _NAME.fullmatch(name):
@@ -91,10 +93,10 @@ class TokenBook:
             return token, _insert(connection, token)
 
     def create_paired(self, person: str, scopes: Iterable[str], *, life_s: float) -> tuple[Token, str]:
-        """Create a token for the page of a person, under their name, or that and a number where it is taken.
+        """Create a token for a person's page, under their name, with a number added if the name is taken.
 
-        Such tokens do not count in `any_ever`. Those that have ended long ago are forgotten: a page makes one with each
-        visit, and one that has just ended may still stop a mill.
+        Such tokens do not count in `any_ever`. Tokens that expired long ago are deleted, because a page makes one with
+        each visit; one that has just expired may still stop a mill.
         """
         now, wanted = self._clock(), check_scopes(scopes)
         with begin_writing(self.engine) as connection:
@@ -106,12 +108,12 @@ class TokenBook:
             return token, _insert(connection, token)
 
     def list_rows(self) -> list[Token]:
-        """List all that were ever made, oldest first."""
+        """List all tokens ever made, oldest first."""
         with begin_reading(self.engine) as connection:
             return [_token(row) for row in connection.execute(_ALL).mappings()]
 
     def revoke(self, token_id: str) -> Token:
-        """Revoke it: from now on it opens nothing. LookupError where there is none; revoking twice changes nothing."""
+        """Revoke a token: it gives no access any more. LookupError if there is none; revoking twice changes nothing."""
         with begin_writing(self.engine) as connection:
             mine = tokens.c.id == token_id
             connection.execute(
@@ -123,7 +125,9 @@ class TokenBook:
         return _token(row)
 
     def revoke_all(self) -> int:
-        """Let none open anything any more, and forget every code; how many were live. The tables may be older ones."""
+        """Revoke every token and forget every code; return how many tokens were live. The tables may be of an older
+        version.
+        """
         now = self._clock()
         with begin_writing(self.engine) as connection:
             there = set(inspect(connection).get_table_names())
@@ -137,7 +141,7 @@ class TokenBook:
             return int(count)
 
     def find(self, secret: str) -> Token | None:
-        """Find the live token with this secret, if there is one."""
+        """Return the live token with this secret; None if there is none."""
         if not _SECRET.fullmatch(secret):
             return None
         now, digest = self._clock(), hash_secret(secret)
@@ -149,13 +153,13 @@ class TokenBook:
         return token if token.live(now) else None
 
     def find_unrevoked(self) -> dict[str, Token]:
-        """Find by the hash of its secret every token that was not revoked, ended ones too."""
+        """Return every token that was not revoked, including expired ones, by the hash of its secret."""
         with begin_reading(self.engine) as connection:
             rows = connection.execute(select(tokens).where(tokens.c.revoked_at.is_(None))).mappings()
             return {str(row["sha256"]): _token(row) for row in rows}
 
     def note_use(self, token: Token, *, renew_s: float | None = None) -> None:
-        """Write down that it is in use, at most once a minute; renew_s: a paired one lives so long from now on."""
+        """Record that a token is in use, at most once a minute; renew_s: new lifetime of a paired one."""
         now = self._clock()
         noted = self._noted.get(token.id, token.last_used_at)
         if noted is not None and now < noted + _USE_NOTED_EVERY_S:
@@ -169,16 +173,17 @@ class TokenBook:
             connection.execute(update(tokens).where(tokens.c.id == token.id, alive).values(**values))
 
     def has_ever_had_any(self) -> bool:
-        """Return whether there ever was a token. From then on nobody is anonymous: an expiry must not open what was
-        closed.
+        """Return whether there ever was a token. From the first one on no caller is anonymous: an expiry must not
+        reopen access.
 
-        Tokens of paired pages do not count: who runs mills from the page has not meant to close the jobs.
+        Tokens of paired pages do not count: a person who runs mills from the page does not intend to close access to
+        jobs.
         """
         with begin_reading(self.engine) as connection:
             return connection.execute(select(tokens.c.id).where(~tokens.c.paired).limit(1)).first() is not None
 
     def has_live(self) -> bool:
-        """Return whether a token that an administrator has made opens something."""
+        """Return whether a token that an administrator has made is live."""
         now = self._clock()
         return any(token.live(now) and not token.paired for token in self.list_rows())
 
@@ -187,7 +192,7 @@ _ALL = select(tokens).order_by(tokens.c.created_at, tokens.c.id)
 
 
 def check_scopes(scopes: Iterable[str]) -> frozenset[str]:
-    """Check that each scope is a known word and there is one at least; InputError names the one that is not."""
+    """Check that there is at least one scope and all are known; InputError names an unknown one."""
     wanted = frozenset(scopes)
     allowed = ", ".join(TokenScope)
     if unknown := sorted(wanted - set(TokenScope)):

@@ -1,7 +1,7 @@
-"""The mills' agents over HTTP: which there are, where each is, that it is the right one, and how it is asked.
+"""HTTP client of the mills' agents: lists them, finds each, checks that it is the right one, and sends requests.
 
-No database. Nothing is ever sent twice by itself, except a stop of which no answer came. Answers are bounded in size
-and in time, and an agent's word that one should look elsewhere is not followed.
+It uses no database. Nothing is ever sent twice automatically, except a stop without an answer. Answers are bounded in
+size and time, and redirects of an agent are not followed.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from service.server.fleet.registry import KnownMachine, read_machines
 from service.settings import ServerSettings
 
 ASK_S = 3.0
-TELL_S = 30.0
-_STOP_TRY_S = STOP_S + 0.5  # its agent's own time, and the way there and back
+SEND_S = 30.0
+_STOP_TRY_S = STOP_S + 0.5  # the agent's own time, and the round trip
 URGENT_S = 2 * _STOP_TRY_S  # for a stop: a person waits beside the mill
 _CONNECT_S = 2.0
 _QUIET_S = 60.0  # an event stream beats every 15 s
@@ -52,36 +52,34 @@ T = TypeVar("T")
 
 
 class AgentLink:
-    """Speaks to the agent of one machine; finds it again when it was started anew."""
+    """Talks to the agent of one machine; finds it again after a restart."""
 
     def __init__(self, machine: KnownMachine, client: Callable[[], httpx.AsyncClient]) -> None:
         self.machine = machine
         self._client = client
         self._address: tuple[str, str] | None = None  # where the right agent is, and its token
-        self._last_address: tuple[str, str] | None = None  # where it was met last: good enough for a stop
+        self._last_address: tuple[str, str] | None = None  # its last known address: good enough for a stop
         self._finding = asyncio.Lock()
         self.feed = AgentFeed(self.open_events, AgentAwayError)
 
     async def get(self, path: str, *, timeout_s: float = ASK_S) -> Json:
-        return await self._tell("GET", path, timeout_s=timeout_s)
+        return await self._send("GET", path, timeout_s=timeout_s)
 
-    async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
-        return await self._tell("POST", path, timeout_s=timeout_s, json=body or {})
+    async def post(self, path: str, body: Json | None = None, *, timeout_s: float = SEND_S) -> Json:
+        return await self._send("POST", path, timeout_s=timeout_s, json=body or {})
 
     async def send_once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
-        """Send as `post`, but not even one that certainly did not arrive is sent again: an order is for now or for
-        never.
-        """
+        """Send like `post`, but never again, even if it certainly did not arrive: an order is for now or never."""
         return await self._request("POST", path, timeout_s=timeout_s, json=body, headers=headers)
 
     async def delete(self, path: str, *, headers: Json) -> Json:
         return await self._request("DELETE", path, timeout_s=ASK_S, headers=headers)
 
     async def send_urgent(self, path: str, *, headers: Json | None = None) -> Json:
-        """Send a stop: to do it twice is better than not at all, so one that failed is sent once more.
+        """Send a stop. Twice is better than not at all, so one that failed is sent once more.
 
-        It leaves for where the agent was met last, before anything is looked up; nobody else takes our token. It is
-        known within URGENT_S whether it was taken: a person has to use the mill's own button otherwise.
+        It goes to the agent's last known address before anything is looked up; no other program accepts our token.
+        Within URGENT_S it is known whether it was accepted; if not, a person has to use the mill's own button.
         """
         try:
             async with asyncio.timeout(URGENT_S):
@@ -99,7 +97,7 @@ class AgentLink:
 
     async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
         headers = {"Content-Length": str(size)}
-        return await self._tell("PUT", path, timeout_s=TELL_S, content=content, headers=headers)
+        return await self._send("PUT", path, timeout_s=SEND_S, content=content, headers=headers)
 
     @asynccontextmanager
     async def open_events(self, last_id: str) -> AsyncIterator[AsyncIterator[str]]:
@@ -152,7 +150,7 @@ class AgentLink:
         return [(card.url, Path(card.token_file)) for card in cards]
 
     async def _require_right(self, url: str, token: str) -> None:
-        """Raise where another agent answers: after a crash a card points to nobody, or to somebody else."""
+        """Raise if another agent answers: after a crash a card may point to nothing, or to another program."""
         try:
             status, content = await self._exchange("GET", f"{url}/v1/machine", token, within_s=ASK_S)
             said = json_object(content, self.machine.name).get("name") if status == 200 else None
@@ -167,9 +165,9 @@ class AgentLink:
             there = repr(said[:80]) if isinstance(said, str) and said else "no agent"
             raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}", ServerCode.AGENT_OTHER)
 
-    async def _tell(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
-        """Send; one that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent
-        again.
+    async def _send(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
+        """Send a request. If it certainly did not arrive, send it to the agent's new address, if that has changed;
+        never repeat any other.
         """
         before = self._address
         try:
@@ -209,13 +207,13 @@ class AgentLink:
                 return answer.status_code, await read_whole(answer, self.machine.name)
 
     def _refusal(self, status: int, content: bytes) -> Problem:
-        """Return the agent's own refusal; what is between it and us only is not the caller's fault."""
+        """Return the agent's own refusal; problems between it and us are not the caller's fault."""
         try:
             said = json_object(content, self.machine.name)
         except Problem:
             said = {}
-        told: Json = restore(said, phrases_of(said) or {})
-        detail, field = cut_text(told.get("detail", "")), str(told.get("field", ""))[:200]
+        body: Json = restore(said, phrases_of(said) or {})
+        detail, field = cut_text(body.get("detail", "")), str(body.get("field", ""))[:200]
         if status in (401, 403):
             words = f"the agent of '{self.machine.name}' does not take the token we have for it"
             return Problem(502, words, code=ServerCode.AGENT_KEY_REFUSED)
@@ -223,11 +221,11 @@ class AgentLink:
             reason = detail or Phrase("no reason given")
             words, values = f"the agent of '{self.machine.name}' answered {status}: {reason}", {"status": status}
             return Problem(502, words, code=ServerCode.AGENT_FAULT, values=values | {"reason": reason})
-        more: Json = {"effect": cut_text(told["effect"])} if isinstance(told.get("effect"), str) else {}
-        if "control" in told:
-            more["control"] = parse_holder(table(told, "control")).model_dump(mode="json") if told["control"] else None
-        code = told["code"][:100] if isinstance(told.get("code"), str) else ""
-        return Problem(status, detail, field=field, code=code, values=list_values(told), more=more)
+        more: Json = {"effect": cut_text(body["effect"])} if isinstance(body.get("effect"), str) else {}
+        if "control" in body:
+            more["control"] = parse_holder(table(body, "control")).model_dump(mode="json") if body["control"] else None
+        code = body["code"][:100] if isinstance(body.get("code"), str) else ""
+        return Problem(status, detail, field=field, code=code, values=list_values(body), more=more)
 
     def _make_unreached(self, error: Exception, *, sent: bool = False) -> AgentAwayError:
         reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(
@@ -242,7 +240,9 @@ AT_THE_SERVER = "somebody at the server's computer"  # a caller there without a 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrderContext:
-    """Who gives an order, from where, and what it rests on. arrived_s: by `suspend_aware_clock_s`."""
+    """The context of an order: who gives it, from where, and on which control and grant. arrived_s: by
+    `suspend_aware_clock_s`.
+    """
 
     name: str
     origin: str
@@ -271,18 +271,18 @@ class AgentLinks:
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="profiles")
 
     async def list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
-        """Return the machines by name, and what is wrong with the list of them."""
+        """Return the machines by name, and the fault of their list."""
         return await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
 
     async def find_machine(self, name: str) -> KnownMachine:
-        """Return the machine; Problem 404 where there is none of this name."""
+        """Return the machine; Problem 404 if there is none of this name."""
         known, _ = await self.list_machines()
         if name not in known:
             raise no_machine(name, known)
         return known[name]
 
     def get_link(self, machine: KnownMachine) -> AgentLink:
-        """Return the link to its agent; a new one where the machine has changed."""
+        """Return the link to its agent; a new one if the machine has changed."""
         found = self.links.get(machine.name)
         if found is None or found.machine != machine:
             found = self.links[machine.name] = AgentLink(machine, self.get_http_client)
@@ -293,7 +293,7 @@ class AgentLinks:
         return self.links.get(machine)
 
     async def renew_link(self, machine: str) -> AgentLink:
-        """Return the link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
+        """Return the link by the present profiles, read in a thread that nothing else uses. Problem 404."""
         known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
         if machine not in known:
             raise no_machine(machine, known)

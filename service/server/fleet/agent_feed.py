@@ -1,9 +1,9 @@
-"""The event stream of one agent, read once for all who follow its runs: an agent has room for few readers.
+"""The event stream of one agent, read once for all followers of its runs, because an agent has room for few readers.
 
-Theory of operation: one task reads as long as somebody follows, and hands each message to everybody. A reader that
-comes back with the id of the last event it has asks the agent itself for what it missed, a few at a time, while its
-queue fills already; what it finds in there and has by then is left out. When the stream breaks all readers end with the
-error, once, and come back in the same way.
+Theory of operation: one task reads as long as there are followers, and hands each message to all of them. A reader that
+comes back with the id of its last event asks the agent itself for the events that it missed (only a few readers do so
+at a time), while its queue already fills; events in the queue that it has by then are skipped. When the stream breaks
+all readers end with the error, and come back in the same way.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 from service.http.event_hub import Hub, Message, Reader
 from service.http.problems import ServerCode
 
-AGAIN_S = (0.2, 0.5, 1.0, 2.0)  # after so long a broken stream is asked for again
+AGAIN_S = (0.2, 0.5, 1.0, 2.0)  # pauses before a broken stream is opened again
 _EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")
 _MOST_WAITING = 1000
 _MOST_READERS = 1000  # of one mill; the fleet allows fewer in all
-_CATCH_UP = 4  # connections beside the one
+_CATCH_UP = 4  # connections in addition to the shared one
 _HEARTBEAT = Message("", "")
 
 Opened = Callable[[str], AbstractAsyncContextManager[AsyncIterator[str]]]
@@ -40,7 +40,7 @@ class AgentFeed:
         self._catching_up = asyncio.Semaphore(_CATCH_UP)
 
     async def follow(self, last_id: str) -> AsyncGenerator[Message]:
-        """Yield those after last_id, then how things stand, then each new one; ends with the error for a broken
+        """Yield the events after last_id, then the present state, then each new event; end with the error of a broken
         stream.
         """
         reader = Reader(_MOST_WAITING)
@@ -71,7 +71,7 @@ class AgentFeed:
                 async for message in _parse(lines):
                     self._status = message if message.kind == "status" else self._status
                     self._hub.send(message, self._hub.readers)
-        except Exception as error:  # whatever it was: everybody is told, and tries again
+        except Exception as error:  # of any kind: all readers get it, and try again
             words = str(error) or type(error).__name__
             end = self._lost(words, getattr(error, "code", ""), getattr(error, "values", {}))
         finally:
@@ -80,7 +80,7 @@ class AgentFeed:
             self._hub.end(reader, end)
 
     async def _catch_up(self, last_id: str) -> list[Message]:
-        """Return what has happened since, and how things stand, with which the agent ends what it tells at first."""
+        """Return the missed events and the present state, with which the agent ends its first messages."""
         found: list[Message] = []
         async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parse(lines)) as messages:
             self._start_reading()
@@ -92,14 +92,14 @@ class AgentFeed:
 
 
 def known_id(text: str) -> str:
-    """Return the id of an event as agents give them; nothing for any other text."""
+    """Return the text if it is an event id of an agent, otherwise ""."""
     return text if _EVENT_ID.fullmatch(text) else ""
 
 
 async def iterate_until(
     ending: asyncio.Event, messages: AsyncGenerator[Message], *, tick_s: float | None = None
 ) -> AsyncGenerator[Message | None]:
-    """Yield the messages, as long as the server does not end; None each time that none has come for `tick_s`."""
+    """Yield the messages until the server ends; None each time that none has come for `tick_s`."""
     over = asyncio.ensure_future(ending.wait())
     step: asyncio.Future[Message | None] | None = None
     try:
@@ -138,7 +138,7 @@ async def _parse(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
 
 
 def _is_known(event_id: str, last_id: str) -> bool:
-    """Return whether an event of the agent's same life is not newer than the last one the reader has."""
+    """Return whether an event is from the same start of the agent as the reader's last one, and not newer."""
     life, _, number = event_id.partition("-")
     last_life, _, last = last_id.partition("-")
     return bool(last_id) and life == last_life and number.isdigit() and last.isdigit() and int(number) <= int(last)

@@ -1,9 +1,9 @@
-"""Starts the agents of this computer's mills, says what became of each, and ends: a process of its own, so that the
-supervisor need not hold what this needs. The agents are on their own from then on: their own sessions, children of
+"""Starts the agents of this computer's mills, reports the result of each, and ends. It is a separate process, so that
+the supervisor need not import its modules. From then on the agents are independent: in their own sessions, children of
 init.
 
-Whether a mill has its agent already is what the lock in its folder says, which the system drops with the process that
-holds it. Two servers that start one agent at once do no harm: the second agent finds folder and port taken and ends.
+The lock in a mill's folder shows whether it has an agent; the system releases it with the process that holds it. Two
+servers that start one agent at once do no harm: the second agent finds folder and port taken and ends.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from service.server.fleet.registry import KnownMachine, local_folder, read_machi
 from service.settings import PREFIX, ServerSettings
 
 LOG_FILE = "agent.log"
-_KEPT = {f"{PREFIX}CONFIG_DIR"}  # where profiles lie; an agent has no business with the server's database or store
+_KEPT = {f"{PREFIX}CONFIG_DIR"}  # the folder of profiles; an agent does not need the server's database or store
 _DETACHED = '"$@" >>"$0" 2>&1 </dev/null & echo $!'
 _LONGEST_LOG_BYTES = 5_000_000
 
 
 def start_agents(settings: ServerSettings) -> list[tuple[str, str]]:
-    """Start what does not run yet; machine and what became of it, in words, one for each. Does not wait for them."""
+    """Start the agents that do not run yet; yield each machine and the result in words. Does not wait for them."""
     machines, _ = read_machines(settings)
     own = [machine for machine in machines.values() if not machine.remote and not machine.simulated]
     return [(machine.name, _start(settings, machine)) for machine in own]
@@ -50,7 +50,8 @@ def _start(settings: ServerSettings, machine: KnownMachine) -> str:
 def is_owned(folder: Path) -> bool:
     """Return whether a living process, agent or stream, holds the lock of this mill's folder.
 
-    The lock is tried only where its owner seems to live: an agent that is just starting must not find it taken by us.
+    The lock is tried only if its owner seems to be alive, so that an agent that is just starting never finds it taken
+    by us.
     """
     try:
         descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CLOEXEC)
@@ -72,13 +73,13 @@ def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except OSError as error:
-        return isinstance(error, PermissionError)  # somebody else's
+        return isinstance(error, PermissionError)  # another account's
     return True
 
 
 def _launch(machine: str, folder: Path) -> int:
-    """Start the agent in a session of its own, its starter gone at once: what ends us, or our group, does not reach
-    it.
+    """Start the agent in its own session, from a starter that ends at once, so that signals to us or our group do not
+    reach it.
     """
     log = folder / LOG_FILE
     if log.exists() and log.stat().st_size > _LONGEST_LOG_BYTES:

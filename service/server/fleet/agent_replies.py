@@ -1,8 +1,8 @@
-"""What an agent answers, or that it does not, before anybody believes it: JSON of a bounded size, and of a run what
+"""Validates the answers of agents, and handles missing answers: JSON of a bounded size, and for a run the members that
 every run has.
 
-An agent on another computer may be of another version, broken, or not an agent at all. What it says wrong is refused
-here, once, as a problem of its own (502), and is neither written down nor shown.
+An agent on another computer may be of another version, broken, or not an agent at all. An invalid answer is refused
+here, once, as its own problem (502), and is neither stored nor shown.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from service.server.schemas.runs import Holder, OrderView
 
 MOST_BYTES = 4_000_000
 _MOST_LETTERS = 2000
-_LATEST_S = 4e9  # year 2096: what is later is no time
+_LATEST_S = 4e9  # year 2096: a later value is not a time
 Json = dict[str, Any]
 T = TypeVar("T")
 Reply = TypeVar("Reply", bound=Body)
@@ -31,7 +31,7 @@ _PHRASES = TypeAdapter(dict[str, PhraseView])
 
 
 class AgentAwayError(Exception):
-    """The agent did not answer. `code`, `values`: of ServerCode; `sent`: the request may have arrived all the same."""
+    """The agent did not answer. `code`, `values`: of ServerCode; `sent`: the request may have arrived nevertheless."""
 
     def __init__(
         self, words: str, code: str = "", values: Mapping[str, object] | None = None, *, sent: bool = False
@@ -43,7 +43,7 @@ class AgentAwayError(Exception):
         self.sent = sent
 
     def problem(self, order: str = "") -> Problem:
-        """Return 503; 504 where this order or stop may have arrived, so that a person has to look."""
+        """Return 503; 504 if this order or stop may have arrived, so that a person has to look."""
         if not (order and self.sent):
             headers = {"Retry-After": "2"}
             return Problem(503, self.words, field="machine", code=self.code, values=self.values, headers=headers)
@@ -55,12 +55,12 @@ class AgentAwayError(Exception):
 
 
 def as_problem(error: AgentAwayError | Problem) -> Problem:
-    """Return why an agent that was only asked how things stand did not say."""
+    """Return why an agent did not answer a query of its state."""
     return error.problem() if isinstance(error, AgentAwayError) else error
 
 
 async def require_answer(asking: Awaitable[T], order: str = "") -> T:
-    """Return what the agent answered. Problem as `AgentAwayError.problem`."""
+    """Return the agent's answer. Problem as in `AgentAwayError.problem`."""
     try:
         return await asking
     except AgentAwayError as away:
@@ -77,7 +77,7 @@ async def read_whole(answer: httpx.Response, machine: str) -> bytes:
 
 
 async def read_lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
-    """Yield lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
+    """Yield the lines of an event stream; httpx's own reader would buffer an endless line without limit."""
     rest = b""
     async for piece in answer.aiter_raw():
         *lines, rest = (rest + piece).split(b"\n")
@@ -100,7 +100,7 @@ def json_object(content: bytes, machine: str) -> Json:
 
 
 def run_view(values: Json, machine: str) -> Json:
-    """Return what the agent says of a run, whole: a newer agent may say more. Problem 502 where it cannot be so."""
+    """Return the agent's whole report on a run; a newer agent may report more. Problem 502 if it is not plausible."""
     _validate(RunReply, values, machine, "says what cannot be of its run")
     return values
 
@@ -110,9 +110,7 @@ def make_wrong_problem(machine: str, what: str) -> Problem:
 
 
 def parse_reply(kind: type[Reply], values: Json, machine: str) -> Reply:
-    """Return what the agent says, to be passed on; what only an agent of another version says is left out. Problem
-    502.
-    """
+    """Return the agent's answer for passing on; members of other versions of the agent are left out. Problem 502."""
     return _validate(kind, values, machine, "says what cannot be")
 
 
@@ -125,7 +123,7 @@ def _validate(kind: type[Reply], values: Json, machine: str, fault: str) -> Repl
 
 
 def parse_holder(values: Json) -> Holder:
-    """Parse who has control and since when."""
+    """Parse the holder of control and since when they have it."""
     since_s = values.get("since_s")
     if not isinstance(since_s, int | float) or not 0 <= since_s < _LATEST_S:
         since_s = 0.0
@@ -133,13 +131,13 @@ def parse_holder(values: Json) -> Holder:
 
 
 def table(values: Json, name: str) -> Json:
-    """Return a JSON object inside another; an empty one where there is none."""
+    """Return a JSON object inside another; an empty one if there is none."""
     found = values.get(name)
     return found if isinstance(found, dict) else {}
 
 
 def phrases_of(values: Json) -> Json | None:
-    """Return the table of phrases of an answer; None where it is none."""
+    """Return the table of phrases of an answer; None if it is none."""
     try:
         return _PHRASES.dump_python(_PHRASES.validate_python(values.get("phrases", {})))
     except ValidationError:
@@ -147,7 +145,7 @@ def phrases_of(values: Json) -> Json | None:
 
 
 def cut_text(text: object) -> str:
-    """Return a text of a bounded size; a phrase, where it is not too long."""
+    """Return a text of a bounded size; a phrase if it is not too long."""
     words = str(text)
     return words if len(words) <= _MOST_LETTERS else words[:_MOST_LETTERS]
 
@@ -166,8 +164,8 @@ def make_order_view(machine: str, order: str, status: Json) -> OrderView:
 
 
 def make_mill_view(status: Json) -> Json:
-    """Return what the mill does, out of its agent's status."""
-    told = table(status, "status")
+    """Return the mill's state from its agent's status."""
+    fields = table(status, "status")
     names = (
         "state",
         "detail",
@@ -183,7 +181,7 @@ def make_mill_view(status: Json) -> Json:
         "pins",
         "controller",
     )
-    return {name: told.get(name) for name in names} | {
+    return {name: fields.get(name) for name in names} | {
         "buffer_share": _compute_buffer_share(status),
         "connected": status.get("connected", False),
         "problem": status.get("problem", ""),
@@ -198,7 +196,7 @@ def make_mill_view(status: Json) -> Json:
 
 
 def _compute_buffer_share(status: Json) -> float | None:
-    """Return how full the controller's receive buffer is kept, 0..1; None where the link does not tell."""
+    """Return how full the controller's receive buffer is kept, 0..1; None if the link does not report it."""
     used, room = table(status, "progress").get("bytes_in_flight"), table(status, "status").get("buffer_bytes")
     if not isinstance(used, int) or not isinstance(room, int) or room <= 0:
         return None

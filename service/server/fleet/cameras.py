@@ -1,7 +1,7 @@
-"""What the camera beside a mill sees, a picture at a time. Only the server knows where cameras are, and asks them.
+"""Fetches pictures from the cameras beside mills, one at a time. Only the server knows the cameras' addresses.
 
 A camera answers with one JPEG, or with JPEGs without end (multipart/x-mixed-replace), of which the first whole one is
-taken. Who asks within half a second of another gets the same answer.
+taken. Callers within half a second of each other get the same answer.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Cameras:
         self._cameras: dict[str, _Camera] = {}
 
     async def take_picture(self, url: str) -> bytes:
-        """Return a JPEG of now. Problem 502 where the camera sends none, 504 where it takes longer than 5 s."""
+        """Return a present JPEG. Problem 502 if the camera sends none, 504 if it takes longer than 5 s."""
         camera = self._cameras.setdefault(url, _Camera())
         async with camera.lock:
             if time.monotonic() - camera.answered_s >= FRESH_S:

@@ -1,4 +1,4 @@
-"""What every part of the fleet works with: the books, the links to the agents, and threads for the database."""
+"""The common core of the fleet: the books, the links to the agents, and threads for the database."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def not_handed_over(run: RunRow) -> Problem:
 
 
 class FleetCore(AgentLinks):
-    """Asks, and writes down what it is told. Moves nothing."""
+    """Queries the agents and stores their answers. Moves nothing."""
 
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, jobs: JobBook) -> None:
         super().__init__(settings)
@@ -45,7 +45,7 @@ class FleetCore(AgentLinks):
         self.runs = RunBook(database)
         self.live_runs: set[str] = set()  # as last seen
         self.known_runs: dict[str, RunRow] = {}  # handed over: machine and the agent's id of them never change
-        # Of its own, so that an order to a mill never waits behind uploads and downloads.
+        # Separate threads, so that an order to a mill never waits behind uploads and downloads.
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="fleet")
 
     async def do(self, function: Callable[..., T], *arguments: Any, **named: Any) -> T:
@@ -57,7 +57,7 @@ class FleetCore(AgentLinks):
         return await self.do(read_machines, self.settings)
 
     def remember(self, run: RunRow) -> RunRow:
-        """Return where this run is, so that a stop of it asks no database."""
+        """Remember the machine of this run, so that a stop of it needs no database."""
         if run.agent_run is not None:
             self.known_runs.pop(run.id, None)
             while len(self.known_runs) >= _MOST_KNOWN:
@@ -66,7 +66,7 @@ class FleetCore(AgentLinks):
         return run
 
     async def get_row(self, run_id: str) -> RunRow:
-        """Return the run by the database. Problem 404 where there is none."""
+        """Return the run by the database. Problem 404 if there is none."""
         try:
             return await self.do(self.runs.get, run_id)
         except UnknownRunError as error:
@@ -80,7 +80,7 @@ class FleetCore(AgentLinks):
             raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 
     async def look_at(self, run: RunRow, *, timeout_s: float = ASK_S) -> RunRow:
-        """Return the run as its agent has it now, written down where that is news."""
+        """Return the run as its agent has it now; store it if that is new."""
         run = await self._look_at(replace(run, away=None), timeout_s=timeout_s)
         (self.live_runs.add if run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
         return run
@@ -103,7 +103,7 @@ class FleetCore(AgentLinks):
         return await self.do(self.runs.record_report, run, view)
 
     async def await_end(self, seconds: float) -> bool:
-        """Wait so long, or until the server ends: then True."""
+        """Wait for that long. Return True as soon as the server ends."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await self.ending.wait()

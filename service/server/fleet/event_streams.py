@@ -1,8 +1,8 @@
-"""What followers of a machine and of a run are sent, out of the stream of the mill's agent.
+"""Event streams of a machine and of a run, made from the stream of the mill's agent.
 
 The ids are the agent's, so a reader that comes back with Last-Event-ID, to this server or to the next one, misses
-nothing that the agent still has. While the agent is away the reader is told so and the stream goes on: a machine's has
-no end, a run's ends with the run. One who follows a machine for the first time is told what its agent remembers.
+nothing that the agent still has. While the agent is away the stream says so and goes on: a machine's stream has no end,
+a run's ends with the run. A new follower of a machine gets the events that its agent remembers.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import make_live_run, make_machine_view
 from service.server.schemas.runs import LiveRun, MachineView
 
-_TICK_S = 0.5  # which run is open is looked at so often
+_TICK_S = 0.5  # how often the open run is looked up
 _BEAT_S = 15.0
-_LOOK_S = 1.0  # what the database says of a run is looked at so often
+_LOOK_S = 1.0  # how often a run's row is read from the database
 
 
 class MachineEvents:
-    """What one reader of a machine is sent."""
+    """The event stream of a machine for one reader."""
 
     def __init__(self, core: FleetCore, machine: KnownMachine, last_id: str) -> None:
         self._core = core
@@ -38,7 +38,7 @@ class MachineEvents:
         self._last_id = last_id
         self._status: Json | None = None
         self._shown: MachineView | None = None
-        self._told: tuple[float, float] = (0.0, 0.0)  # time and number of the last entry of the log
+        self._last_sent: tuple[float, float] = (0.0, 0.0)  # time and number of the last entry of the log
         self._remembered = bool(last_id)
         self._sent_s = self._looked_s = 0.0
         self._run: RunRow | None = None
@@ -60,7 +60,7 @@ class MachineEvents:
             if await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):
                 return
             self._failures += 1
-            with contextlib.suppress(Problem):  # its profile is gone: it is told of as it was
+            with contextlib.suppress(Problem):  # its profile is gone: it keeps its last description
                 self._machine = await core.find_machine(self._machine.name)
 
     async def _follow_live(self) -> AsyncGenerator[bytes]:
@@ -91,8 +91,8 @@ class MachineEvents:
     # ------------------------------------------------------------------ what happened
 
     async def _read_history(self, link: AgentLink) -> list[bytes]:
-        """Return what the agent remembers, for a reader who is new. Asked for when its stream is open: nothing is
-        lost.
+        """Return the events that the agent remembers, for a new reader. Call it once the agent's stream is open: then
+        no event is lost in between.
         """
         if self._remembered:
             return []
@@ -103,17 +103,17 @@ class MachineEvents:
         return [piece for entry in entries if isinstance(entry, dict) and (piece := self._make_entry(entry))]
 
     def _make_entry(self, entry: Json, event_id: str = "") -> bytes:
-        """Return the event of an entry; nothing for one that was told already."""
+        """Return the event of an entry; nothing for one that was already sent."""
         place = (_number(entry, "at_s"), _number(entry, "number"))
-        if place != (0.0, 0.0) and place <= self._told:
+        if place != (0.0, 0.0) and place <= self._last_sent:
             return b""
-        self._told = max(place, self._told)
+        self._last_sent = max(place, self._last_sent)
         return event_bytes("log", compact_json(entry), event_id)
 
     # ------------------------------------------------------------------ how it stands
 
     async def _make_state(self, away: Problem | None = None, *, fresh: bool = False) -> bytes:
-        """Return a `status` where it is news, a comment now and then, else nothing."""
+        """Return a `status` event if the state has changed, a comment now and then, otherwise nothing."""
         now_s = time.monotonic()
         view = table(self._status or {}, "run")
         if fresh or now_s > self._looked_s + _TICK_S or self._run_is_news(view):
@@ -136,7 +136,7 @@ class MachineEvents:
         return bool(view) and known != (view.get("id"), view.get("state"))
 
     async def _find_open_run(self, view: Json) -> RunRow | None:
-        """Return the run that has the mill; what the agent says of it is written down where that is news."""
+        """Return the run that has the mill. If the agent reports something new of it, write that down."""
         runs = self._core.runs
         run = await self._core.do(runs.open_on, self._machine.name)
         if run is not None and _is_about(view, run):
@@ -155,7 +155,7 @@ def _number(entry: Json, name: str) -> float:
 
 
 class RunEvents:
-    """What one reader of a run is sent."""
+    """The event stream of a run for one reader."""
 
     def __init__(self, core: FleetCore, run: RunRow, last_id: str) -> None:
         self._core = core
@@ -198,16 +198,16 @@ class RunEvents:
             if message.kind != "status":
                 if _is_since(data, self._run):
                     yield event_bytes("log", compact_json(data), self._last_id)
-            elif (now := _told(self._run, table(data, "run")) or await self._look()) != self._shown:
+            elif (now := _read_run_state(self._run, table(data, "run")) or await self._look()) != self._shown:
                 self._shown = now
                 if not now.open:
-                    await self._look_again()  # written down before the reader learns of it
+                    await self._look_again()  # written down before it is sent to the reader
                 yield _run_event(now, self._last_id)
             if not self._shown.open:
                 return
 
     async def _look(self) -> LiveRun:
-        """Ask once a second where the mill's next run is there: the end of this one may never be told."""
+        """Ask once a second when the mill has another run: the agent may never report the end of this one."""
         if time.monotonic() - self._looked_s < _LOOK_S:
             return self._shown
         self._looked_s = time.monotonic()
@@ -231,16 +231,16 @@ def _run_event(run: LiveRun, event_id: str = "") -> bytes:
     return event_bytes("run", run.model_dump_json(), event_id)
 
 
-def _told(run: RunRow, view: Json) -> LiveRun | None:
-    """Return how the run stands, by what the agent says of its run; None where that is another one."""
+def _read_run_state(run: RunRow, view: Json) -> LiveRun | None:
+    """Return the run's state from the agent's report; None if the report is about another run."""
     if view.get("id") != run.agent_run:
         return None
     state = run_view(view, run.machine)["state"]
-    told = {"state": state, "view": view, "open": state not in ENDED, "away": None} | read_reason(view)
-    return make_live_run(replace(run, **told))
+    changes = {"state": state, "view": view, "open": state not in ENDED, "away": None} | read_reason(view)
+    return make_live_run(replace(run, **changes))
 
 
 def _is_since(entry: Json, run: RunRow) -> bool:
-    """Return whether an entry of the mill's log is younger than the run; one without a time is."""
+    """Return whether an entry of the mill's log is newer than the run; one without a time counts as newer."""
     at_s = entry.get("at_s")
     return not isinstance(at_s, int | float) or at_s >= ((run.view or {}).get("created_s") or 0.0)

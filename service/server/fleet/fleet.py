@@ -1,4 +1,4 @@
-"""The mills, as the job server offers them: what they are and do, and the runs of programs on them."""
+"""The mills of the job server: their state, and the runs of programs on them."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ class Fleet:
         self._followers = 0
 
     def end_streams(self) -> None:
-        """End the event streams with the server: they would not by themselves."""
+        """End the event streams with the server: they would never end by themselves."""
         self._core.ending.set()
 
     async def await_end(self, seconds: float) -> bool:
-        """Wait so long, or until the server ends: then True."""
+        """Wait for that long. Return True as soon as the server ends."""
         return await self._core.await_end(seconds)
 
     async def meet_agents(self) -> None:
@@ -65,7 +65,7 @@ class Fleet:
                 await self._core.meet_agents()
 
     async def watch(self, every_s: float = WATCH_S) -> None:
-        """Look at every open run now and then: one that ends while nobody asks is closed all the same."""
+        """Poll every open run regularly, so that one that ends while nobody asks is closed too."""
         while not await self._core.await_end(every_s):
             try:
                 rows = await self._core.do(self._core.runs.open_ones)
@@ -80,7 +80,7 @@ class Fleet:
 
     @property
     def has_live_run(self) -> bool:
-        """A program is on one of the mills, as they were last seen."""
+        """Return whether one of the mills had a program when it was last polled."""
         return bool(self._core.live_runs)
 
     # ------------------------------------------------------------------ machines
@@ -128,7 +128,7 @@ class Fleet:
         key: ClientKey | None,
         context: OrderContext,
     ) -> tuple[RunView, bool]:
-        """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
+        """Hand a program over. Return the run, and whether it is already parked (False: it is still being prepared)."""
         known = await self._core.find_machine(machine)
         with contextlib.suppress(AgentAwayError):
             await self._core.get_link(known).send_once(
@@ -166,14 +166,14 @@ class Fleet:
         return make_run_view(run, await self.stops.wait_briefly(self._read_around(run), Surroundings()))
 
     async def list_past_orders(self, machine: str, before: int | None, limit: int) -> PastOrders:
-        """Return who ordered what at this mill, newest first."""
+        """Return the orders that this mill was given and by whom, newest first."""
         link = self._core.get_link(await self._core.find_machine(machine))
         from_number = "" if before is None else f"&before={before}"
-        told = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
-        return parse_reply(PastOrders, told, machine)
+        reply = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
+        return parse_reply(PastOrders, reply, machine)
 
     async def follow_run(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
-        """Return the run's server-sent events; None where it was over when the reader last heard of it."""
+        """Return the run's server-sent events; None if it was over when the reader last heard of it."""
         run = await self._repair_and_look(await self._core.get_row(run_id))
         if last_id and not run.open and not run.away:
             return None
@@ -202,11 +202,11 @@ class Fleet:
         return make_run_view(run, await self._read_around(run))
 
     async def _read_around(self, run: RunRow) -> Surroundings:
-        """Return what is around a run, whose job may be gone by now."""
+        """Return the surroundings of a run, whose job may have been deleted."""
         return (await self._core.do(self._read_surroundings, [run]))[0]
 
     def _read_surroundings(self, rows: Sequence[RunRow]) -> list[Surroundings]:
-        """Return what each of the runs is part of, by as many queries for a hundred of them as for one."""
+        """Return what each of the runs is part of. A hundred runs need as few queries as one."""
         job_ids = {run.job_id for run in rows}
         found = self._core.jobs.list_with_programs(job_ids)
         finished = self._core.runs.list_finished_by_mill(job_ids)

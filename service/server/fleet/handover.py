@@ -1,7 +1,7 @@
-"""Handing a program over: the row first, then the program by its hash, then a parked run under the row's id as its key.
+"""Hands a program over: first the row, then the program by its hash, then a parked run with the row's id as its key.
 
-Each step may be done again without harm, so a server that finds a run still being prepared goes on with it: this one
-after a lost answer, or the next one after a crash. Nothing of it makes the mill move: a parked run waits for a person.
+Each step can be repeated without harm, so a server that finds a run still being prepared continues with it: this one
+after a lost answer, or the next one after a crash. None of this moves the mill: a parked run waits for a person.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class Handovers:
     def __init__(self, core: FleetCore) -> None:
         self._core = core
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._untried: set[str] = set()  # runs made here, of which no agent can have heard yet
+        self._untried: set[str] = set()  # runs made here that no agent can know yet
 
     async def begin(
         self, machine: KnownMachine, job_id: str, wanted: int | str | None, by: str, key: ClientKey | None
     ) -> RunRow:
-        """Make the run, or find the one that this key has made. Problem where it may not be."""
+        """Make the run, or find the one that this key has made. Problem if it is not allowed."""
         asked = hashlib.sha256(repr((machine.name, job_id, wanted)).encode()).hexdigest()
         core = self._core
         if key is not None and (before := await core.do(core.runs.find_made_before, key, asked)) is not None:
             return before
         program = await self._choose_program(machine, job_id, wanted)
         if (other := await core.do(core.runs.open_on, machine.name)) is not None:
-            await core.look_at(other)  # it may have ended since anybody asked
+            await core.look_at(other)  # it may have ended since the last look
         new = RunRow(
             machine=machine.name, job_id=job_id, program=program.name, number=program.number, sha256=program.sha256,
             created_by=by,
@@ -61,7 +61,7 @@ class Handovers:
         return run
 
     async def finish(self, run: RunRow, machine: KnownMachine) -> RunRow:
-        """Go on until it is parked, or for 20 s; Problem where it cannot be handed over."""
+        """Continue until the run is parked, or for 20 s; Problem if it cannot be handed over."""
         if run.state != PREPARING or not run.open:
             return run
         task = self.go_on(run, machine)
@@ -74,7 +74,7 @@ class Handovers:
         return await self._core.do(self._core.runs.get, run.id)
 
     def go_on(self, run: RunRow, machine: KnownMachine) -> asyncio.Task[None]:
-        """Return the task that hands this run over: the one that is at it, or a new one."""
+        """Return the task that hands this run over: the running one, or a new one."""
         task = self._tasks.get(run.id)
         if task is None or task.done():
             self._tasks = {key: other for key, other in self._tasks.items() if not other.done()}
@@ -83,7 +83,7 @@ class Handovers:
         return task
 
     async def repair(self, run: RunRow) -> RunRow:
-        """Go on with a hand-over that was cut short; what the run is now is returned without waiting for that."""
+        """Continue an interrupted hand-over; return the present state of the run without waiting."""
         if run.state != PREPARING or not run.open:
             return run
         try:
@@ -127,7 +127,7 @@ class Handovers:
         )
 
     async def _hand_over(self, run: RunRow, machine: KnownMachine) -> None:
-        """Hand over; AgentAwayError leaves the run as it is, to be gone on with; a refusal closes it."""
+        """Hand over. AgentAwayError leaves the run as it is, to be continued later; a refusal closes it."""
         link, posted = self._core.get_link(machine), False
         try:
             await self._bring(link, run)
@@ -141,19 +141,19 @@ class Handovers:
             if (posted and away.sent) or run.id not in self._untried:
                 raise
             refusal = away.problem()
-            await self._refuse(run, refusal)  # nothing of it is there, certainly
+            await self._refuse(run, refusal)  # the agent certainly has nothing of it
             raise refusal from None
         finally:
             self._untried.discard(run.id)
         if not await self._core.do(self._core.runs.confirm_parked, run.id, view):
-            await link.post(f"/v1/runs/{view['id']}:abort")  # taken back while it was on its way
+            await link.post(f"/v1/runs/{view['id']}:abort")  # taken back while it was being sent
 
     async def _refuse(self, run: RunRow, problem: Problem) -> None:
         reason = make_reason(problem.code, problem.values)
         await self._core.do(self._core.runs.close, run.id, REFUSED, problem.detail, reason, forget_key=True)
 
     async def _bring(self, link: AgentLink, run: RunRow) -> None:
-        """Bring the program into the agent's own store, which checks its hash."""
+        """Send the program to the agent's own store, which checks its hash."""
         try:
             await link.get(f"/v1/programs/{run.sha256}")
             return

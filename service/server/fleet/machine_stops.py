@@ -19,17 +19,19 @@ from service.server.fleet.agent_replies import AgentAwayError, make_order_view, 
 from service.server.schemas.runs import OrderView
 
 T = TypeVar("T")
-_LOOK_S = 0.2  # for a look at the profiles before the answer: a page that has none after 0.3 s says a stop again
-_RENEW_S = 1.0  # for that look where the known agent does not answer
+_LOOK_S = 0.2  # for a look at the profiles before the answer: a page without an answer after 0.3 s repeats a stop
+_RENEW_S = 1.0  # for that look if the known agent does not answer
 
 
 class MachineStops:
     def __init__(self, links: AgentLinks) -> None:
         self._links = links
-        self._behind: set[asyncio.Future[Any]] = set()  # what goes on after the answer
+        self._behind: set[asyncio.Future[Any]] = set()  # tasks that continue after the answer
 
     async def stop_machine(self, machine: str, stop: Stop, context: OrderContext) -> OrderView:
-        """Stop, twice where no answer came. Problem 404 where there is no such machine, 503 or 504 for no answer."""
+        """Stop a machine; try twice if no answer comes. Problem 404 if there is no such machine, 503 or 504 for no
+        answer.
+        """
         self._links.stopped_s[machine] = context.arrived_s
         path = f"/v1/control/{stop.value}"
         known = self._links.known_link(machine)
@@ -49,7 +51,7 @@ class MachineStops:
     async def _stop_present(
         self, machine: str, known: AgentLink, path: str, context: OrderContext
     ) -> asyncio.Future[Json] | None:
-        """Send the stop to where the mill's agent is now; None where that is the known one."""
+        """Send the stop to the present address of the mill's agent; None if that is the known one."""
         present = await self._find_present_link(machine, known)
         return None if present is known else self._start_task(present.send_urgent(path, headers=context.headers()))
 
@@ -77,7 +79,7 @@ class MachineStops:
         return list(zip(links, answers, strict=True))
 
     async def _find_present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
-        """Return the link by the profiles as they are now; the known one where that takes too long."""
+        """Return the link by the present profiles; the known one if reading them takes too long."""
         looking = self._start_task(self._links.renew_link(machine))
         await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
         if not looking.done() or (known is not None and looking.exception() is not None):
@@ -98,7 +100,7 @@ class MachineStops:
     def _forget(self, task: asyncio.Future[Any]) -> None:
         self._behind.discard(task)
         if not task.cancelled():
-            task.exception()  # read it, or asyncio logs it: perhaps nobody waits any more
+            task.exception()  # retrieve it, or asyncio logs it: perhaps no one awaits the task any more
 
 
 def find_refusal(run_id: str, stop: Stop, answers: Iterable[tuple[AgentLink, Json | BaseException]]) -> Problem:

@@ -30,7 +30,7 @@ LOOK_S = 5.0
 AGAIN_S = (2.0, 10.0, 60.0)
 _WAIT_S = 10.0
 _MOST_WAITING = 200
-_RUNS = 100  # the newest, whose ends are told
+_RUNS = 100  # the newest ones, whose ends are reported
 Event = Literal["needs_hand", "tool_change", "finished"]
 _TROUBLE = {"alarm": "is locked by an alarm", "door": "its door is open", "tool": "waits for a tool change"}
 _log = structlog.get_logger("api")
@@ -56,22 +56,22 @@ class MillWatch:
 
     def __init__(self, clock_s: Callable[[], float] = time.time) -> None:
         self._clock_s = clock_s
-        self._troubles: dict[str, str] = {}  # of a machine, as it was told
+        self._troubles: dict[str, str] = {}  # by machine: the trouble last reported
         self._ended: set[str] | None = None  # runs that were finished at the look before
 
     def compare(self, machines: Iterable[MachineView], runs: Iterable[RunView]) -> list[Notification]:
-        """Return what is to be told. Programs that were finished before the first look are not."""
-        told = []
+        """Return the new notifications. Programs that were finished before the first look are not reported."""
+        news = []
         for machine in machines:
             trouble = _trouble_of(machine)
             if trouble and self._troubles.get(machine.name) != trouble:
-                told.append(self._describe_trouble(machine, trouble))
+                news.append(self._describe_trouble(machine, trouble))
             self._troubles[machine.name] = trouble
         finished = {run.id: run for run in runs if run.state == FINISHED}
         if self._ended is not None:
-            told += [self._describe_end(run) for name, run in finished.items() if name not in self._ended]
+            news += [self._describe_end(run) for name, run in finished.items() if name not in self._ended]
         self._ended = set(finished)
-        return told
+        return news
 
     def _describe_trouble(self, machine: MachineView, words: str) -> Notification:
         run = machine.run
@@ -105,15 +105,15 @@ def _trouble_of(machine: MachineView) -> str:
 
 
 async def watch_mills(
-    fleet: Fleet, tell: Callable[[Notification], Awaitable[None]], *, every_s: float = LOOK_S
+    fleet: Fleet, send: Callable[[Notification], Awaitable[None]], *, every_s: float = LOOK_S
 ) -> None:
-    """Tell what happens, until the server ends. A look that fails is left out."""
+    """Send notifications until the server ends. A look that fails is skipped."""
     watch = MillWatch()
     while True:
         try:
             runs = await fleet.list_runs(machine=None, job=None, limit=_RUNS, before=None)
             for one in watch.compare((await fleet.list_machines()).machines, runs):
-                await tell(one)
+                await send(one)
         except Exception as error:  # the database is away, or an agent talks nonsense
             _log.warning("mills were not looked at", error=printable(str(error))[:200])
         if await fleet.await_end(every_s):
@@ -121,21 +121,21 @@ async def watch_mills(
 
 
 class Delivery:
-    """One queue for each way out, so that a mailbox that is away keeps nothing from the web address."""
+    """One queue for each channel, so that a mailbox that is away does not delay the web address."""
 
     def __init__(self, ways: dict[str, Send], *, again_s: tuple[float, ...] = AGAIN_S) -> None:
         self._ways, self._again_s = ways, again_s
         self._queues: dict[str, asyncio.Queue[Notification]] = {way: asyncio.Queue(_MOST_WAITING) for way in ways}
 
-    async def tell(self, notification: Notification) -> None:
-        """Take it; the oldest that waits is given up for it where too many do."""
+    async def enqueue(self, notification: Notification) -> None:
+        """Queue a notification; if the queue is full, the oldest one is given up."""
         for way, queue in self._queues.items():
             if queue.full():
                 _log.warning("a notification was given up", way=way, words=queue.get_nowait().words)
             queue.put_nowait(notification)
 
     async def run(self) -> None:
-        """Send what comes, until cancelled."""
+        """Send notifications until cancelled."""
         await asyncio.gather(*(self._run(way) for way in self._ways))
 
     async def _run(self, way: str) -> None:
@@ -147,7 +147,7 @@ class Delivery:
             try:
                 await asyncio.to_thread(self._ways[way], notification)
                 return
-            except Exception as error:  # whatever the other side does: the mills go on
+            except Exception as error:  # the other side may fail in any way: the mills go on
                 words = printable(str(error) or type(error).__name__)[:200]
                 _log.warning("a notification was not sent", way=way, error=words, again_s=wait_s)
             if wait_s is not None:
@@ -165,7 +165,7 @@ def list_ways_out(settings: ServerSettings) -> dict[str, Send]:
 
 
 def post(url: str, notification: Notification) -> None:
-    """POST it as JSON. httpx.HTTPError where it is not taken."""
+    """POST it as JSON. httpx.HTTPError if it is not taken."""
     httpx.post(url, json=asdict(notification), timeout=_WAIT_S).raise_for_status()
 
 

@@ -1,16 +1,16 @@
-"""Orders to mills, beside a run and to a run, each under a grant of the mill's agent; and stops of mills and of runs,
-with what the database adds.
+"""Orders to mills, outside runs and to runs, each under a grant of the mill's agent. Also stops of mills and of runs,
+with the part of them that needs the database.
 
-Theory of operation. An order is good for the moment in which it was given. The page asks for a grant when a button is
-pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has stopped the
-mill or taken control since. Nothing here decides whether an order is still for now: it may wait for a database, a
-thread or a network as long as it likes, and then the agent refuses it, as it refuses one without a grant. The asking
-for a grant is what can be late: one that has waited for more than ASK_S since it arrived, or past a stop, is refused.
-What an order says is validated by the agent alone. Each is sent once: where the answer is lost, the agent is asked what
-became of it, and where that cannot be told either, a person has to look.
+Theory of operation. An order is valid only for the moment at which it was given. The page asks for a grant when a
+button is pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has
+stopped the mill or taken control since. Nothing here decides whether an order is still valid: it may wait for a
+database, a thread or a network for any time, and the agent then refuses it, as it refuses one without a grant. Only the
+request for a grant can be late here: it is refused if it has waited for more than ASK_S since it arrived, or if a stop
+has come since. Only the agent validates the contents of an order. Each order is sent once. If its answer is lost, the
+agent is asked for the outcome; if the agent does not know it either, a person has to look.
 
-Nothing of the database is waited for before a stop has left (`machine_stops`): which machine a run is on is remembered,
-or all agents are asked. What the run's row says is waited for afterwards, for a moment.
+No stop waits for the database before it is sent (`machine_stops`): the machine of a run is remembered, or else all
+agents are asked. Afterwards the run's row is waited for, for a moment.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ from service.server.schemas.runs import ControlView, OrderView
 ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
 _PLAN_S = 30.0  # the controller is asked first
-_TELL_S = 45.0  # a start asks it first, too, and waits for the journal
+_START_S = 45.0  # a start asks it first, too, and waits for the journal
 _MOST_KNOWN = 1000
 
 
 class Orders:
-    """Who has control of the mills of this fleet, and what they say."""
+    """Control of the mills of this fleet, and the orders of those who have it."""
 
     def __init__(self, core: FleetCore, clock: Callable[[], float] = suspend_aware_clock_s) -> None:
         self._core = core
@@ -60,7 +60,7 @@ class Orders:
     async def take(
         self, machine: str, context: OrderContext, operator: str, *, take_over: bool
     ) -> tuple[ControlView, bool]:
-        """Take control of a machine; return it and whether it is new. Problem 409 where another person has it."""
+        """Take control of a machine; return it and whether it is new. Problem 409 if another person has it."""
         link = self._core.get_link(await self._core.find_machine(machine))
         body = {"operator": operator, "principal": context.name, "take_over": take_over}
         lease = await require_answer(link.send_once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
@@ -69,22 +69,22 @@ class Orders:
         return control, secret != context.control
 
     async def release(self, machine: str, context: OrderContext) -> None:
-        """Release control, if it was the caller who had it. Problem 409 where it is somebody else's."""
+        """Release control if the caller has it. Problem 409 if someone else does."""
         link = self._core.get_link(await self._core.find_machine(machine))
         await require_answer(link.delete("/v1/lease", headers=context.headers()))
 
     # ------------------------------------------------------------------ orders
 
     async def grant(self, machine: str, context: OrderContext, stops: int | None = None) -> GrantView:
-        """Ask for a grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped
-        since the caller has seen this stop count.
+        """Ask for a grant for the caller's next order. Problem 409 if someone else has control, or if the mill was
+        stopped since the caller saw this stop count.
         """
         link = self._core.get_link(await self._core.find_machine(machine))
         return parse_reply(GrantView, await require_answer(self._ask_grant(link, context, stops)), machine)
 
     async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> OrderView:
-        """Carry out an order beside a run, from the holder of control. Problem 504 where it is not known what came of
-        it. It goes to the agent that was asked for the grant, and waits for no disk.
+        """Carry out an order outside runs, from the holder of control. Problem 504 if its outcome is not known. It goes
+        to the agent that gave the grant, and waits for no disk.
         """
         link = self._core.known_link(machine) or self._core.get_link(await self._core.find_machine(machine))
         sending = link.send_once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
@@ -93,7 +93,7 @@ class Orders:
     # ------------------------------------------------------------------
 
     async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None) -> Json:
-        """Ask the agent for a grant; it counts if the request is still for now and no stop has come by since.
+        """Ask the agent for a grant. It is valid only if the request is recent and no stop has come since.
         AgentAwayError.
         """
         body = {} if stops is None else {"stops": stops}
@@ -113,11 +113,13 @@ class Orders:
 
 
 class Controls:
-    """Start, resume and recover: a person's word for a run, passed on to its agent once."""
+    """Start, resume and recover: a person's orders to a run, each passed on to its agent once."""
 
     def __init__(self, core: FleetCore) -> None:
         self._core = core
-        self._plans_shown: dict[tuple[str, str], str] = {}  # by caller and run: the digest of what they saw last
+        self._plans_shown: dict[
+            tuple[str, str], str
+        ] = {}  # by caller and run: the digest of the plan that they saw last
 
     async def resume(self, run_id: str, context: OrderContext) -> RunRow:
         run = await self._require_handed_over(run_id)
@@ -150,7 +152,7 @@ class Controls:
         return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
 
     async def recover(self, run_id: str, said: RecoverBody, context: OrderContext) -> RunRow:
-        """Recover only as the plan says that the caller has read: the one named, or the one shown to them last."""
+        """Recover only by the plan that the caller has read: the one that they name, or the one shown to them last."""
         plan = said.plan or self._plans_shown.get((context.name, run_id), "")
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
@@ -169,15 +171,15 @@ class Controls:
         try:
             return await self._send_once(run, "recover", body, context, went_on=lambda state: state not in over)
         finally:
-            if not was_open:  # as its agent has it now: closed again where nothing came of it
+            if not was_open:  # read it from its agent: closed again if the recovery did not happen
                 await self._core.look_at(await self._core.get_row(run_id))
 
     async def plan_recovery(self, run_id: str, caller: str) -> RecoveryView:
-        """Return how the run would go on now; what the caller has been shown."""
+        """Return the plan by which the run would be recovered now, and remember that the caller has seen it."""
         run = await self._require_handed_over(run_id)
         path = f"/v1/runs/{run.agent_run}/recovery"
-        told = await require_answer((await self._find_link(run)).get(path, timeout_s=_PLAN_S))
-        plan = parse_reply(RecoveryView, told | {"run": run.id}, run.machine)
+        view = await require_answer((await self._find_link(run)).get(path, timeout_s=_PLAN_S))
+        plan = parse_reply(RecoveryView, view | {"run": run.id}, run.machine)
         while len(self._plans_shown) >= _MOST_KNOWN:
             del self._plans_shown[next(iter(self._plans_shown))]
         self._plans_shown[caller, run.id] = plan.plan[:100]
@@ -200,11 +202,11 @@ class Controls:
     async def _send_once(
         self, run: RunRow, action: str, body: Json, context: OrderContext, *, went_on: Callable[[str], bool]
     ) -> RunRow:
-        """Send once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
+        """Send an order once. If the answer is lost, ask the agent; if that fails too, a person has to look."""
         link = await self._find_link(run)
         try:
             path = f"/v1/runs/{run.agent_run}:{action}"
-            view = await link.send_once(path, body, timeout_s=_TELL_S, headers=context.headers())
+            view = await link.send_once(path, body, timeout_s=_START_S, headers=context.headers())
         except AgentAwayError as away:
             if not away.sent:
                 raise away.problem() from None
@@ -235,9 +237,9 @@ class Stops(MachineStops):
         self._core = core
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> RunRow:
-        """Stop as `stop_machine` the mill that has this run. Problem 404, 409 where the run is not on its mill.
+        """Stop the mill that has this run, as `stop_machine` does. Problem 404; 409 if the run is not on its mill.
 
-        An abort also gives up a run that never reached its mill, or that its agent is no longer about.
+        An abort also closes a run that never reached its mill, or that its agent no longer knows.
         """
         known = self._core.known_runs.get(run_id)
         if known:
@@ -253,7 +255,7 @@ class Stops(MachineStops):
         return await self.wait_briefly(writing, _apply_view(run, view))
 
     async def wait_briefly(self, work: Awaitable[T], otherwise: T) -> T:
-        """Return what comes of work that may wait for a database; it goes on where that takes too long."""
+        """Return the result of work that may wait for a database; None if that takes too long, and the work goes on."""
         task = self._start_task(work)
         await asyncio.wait({task}, timeout=_BOOK_S)
         return task.result() if task.done() and task.exception() is None else otherwise
@@ -266,7 +268,7 @@ class Stops(MachineStops):
         return run, await require_answer(link.send_urgent(path, headers=context.headers()), stop)
 
     async def _ask_all(self, run_id: str, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
-        """Ask all agents for a run that this process has not seen yet, by our id. Problem where none of them has it."""
+        """Ask all agents for a run that this process has not seen yet, by our id. Problem if none of them has it."""
         answers = await self.ask_agents(run_id, stop, context)
         for link, answer in answers:
             if isinstance(answer, dict):
@@ -301,7 +303,7 @@ def _apply_view(run: RunRow, view: Json) -> RunRow:
 
 
 def _make_row(run_id: str, link: AgentLink, view: Json) -> RunRow:
-    """Return what is certain of a run without the database."""
+    """Return the run's row as far as it is known without the database."""
     return RunRow(
         id=run_id,
         machine=link.machine.name,

@@ -1,6 +1,6 @@
-"""Which mills there are: the person's own profiles that name a port, agents on other computers, a simulated one.
+"""Finds the mills: the person's own profiles that name a port, agents on other computers, a simulated one.
 
-Read anew each time it is asked: a profile that is mended or added is there at once, and a broken one costs itself only.
+The files are read again each time, so a corrected or new profile works at once, and a broken one only affects itself.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class KnownMachine:
     url, token_file : of a remote agent
     problem    : why it cannot be used, in words
     simulated  : there is no mill, only a model of one
-    camera     : address of the one beside it
+    camera     : address of the camera beside it
     """
 
     name: str
@@ -56,7 +56,7 @@ class KnownMachine:
 
 
 def read_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], list[str]]:
-    """Return the machines by name, sorted, and what is wrong with the list of remote ones."""
+    """Return the machines by name, sorted, and the fault of the list of remote ones."""
     found = {machine.name: machine for machine in _local_machines(settings)}
     problems: list[str] = []
     if settings.simulated_mill:
@@ -84,7 +84,7 @@ def read_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], li
 
 
 def local_folder(settings: ServerSettings, machine: str) -> Path:
-    """Return where the agent that `serve` starts keeps everything."""
+    """Return the folder of the agent that `serve` starts."""
     return (settings.agents_folder / machine).absolute()
 
 
@@ -117,8 +117,8 @@ def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:
 
 
 def remote_machines(path: Path) -> list[KnownMachine]:
-    """Return the agents file: [[agents]] tables with machine, url, token_file, and private_network = true where nobody
-    else is on the network between here and the agent. InputError says what is wrong in it.
+    """Return the agents file: [[agents]] tables with machine, url, token_file, and private_network = true if no one
+    else is on the network between here and the agent. InputError names its fault.
     """
     try:
         rows = read_data(path).get("agents", [])

@@ -1,4 +1,4 @@
-"""How runs and machines look from outside; the programs of a job, and what a person has to set up before each."""
+"""The REST views of runs and machines; the programs of a job, and the set-up before each."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def programs_of(files: Sequence[Artifact]) -> list[Program]:
 
 
 def set_up(job: Job, number: int, part: int = 1) -> Json:
-    """Return tool, block, zero and what changes since the program before, from the job's own spec and report.
+    """Return tool, block, zero and the changes since the program before, from the job's own spec and report.
 
     number : of the pass, as in the program's name; part: of it, from 1
     """
@@ -93,7 +93,7 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
 
 
 def _same_pass(row: Mapping[str, Any]) -> Json:
-    """Return no change between two parts of one pass: a mark would show where one goes on from the other."""
+    """Return no change between two parts of one pass: any change would leave a mark where the second begins."""
     radius = row.get("radius_mm")
     words = Phrase(
         "the same tool as before, {tool}, and all zeros as they are: the pass goes on where it ended", tool=_tool(row)
@@ -121,7 +121,7 @@ def _shape(row: Mapping[str, Any]) -> str:
 
 
 def _tool(row: Mapping[str, Any]) -> str:
-    """Return size and, where it is no ball, shape."""
+    """Return the size and, unless it is a ball, the shape."""
     shape, size = shape_of(row), "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
     if shape == "bull-nose":
         return Phrase("bull-nose {size}, corner R {corner_mm:g} mm", size=size, corner_mm=row["corner_radius_mm"])
@@ -135,7 +135,7 @@ _ACTIONS = ("start", "hold", "resume", "abort", "recover")
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What a run is part of. job: None where it is gone; finished: hashes of programs that this mill has finished."""
+    """What a run is part of. job: None if it is gone; finished: hashes of programs that this mill has finished."""
 
     job: Job | None = None
     programs: Sequence[Program] = ()
@@ -150,7 +150,7 @@ class Surroundings:
 
 
 def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
-    """Return what a person has to confirm before the run may go on from here."""
+    """Return the checks that a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
         needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
     elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and has_started(run):
@@ -225,12 +225,12 @@ def _why(run: RunRow) -> Json:
 
 
 def _phrases(run: RunRow) -> Json:
-    """Return what the agent says of the run's sentences, and what we do."""
+    """Return the phrases of the run's sentences, the agent's and our own."""
     return (phrases_of(run.view or {}) or {}) | (phrases_of(run.reason or {}) or {})
 
 
 def _how_far(view: Json) -> Json:
-    """Return how far it is, out of what the agent says of a run."""
+    """Return the progress from the agent's report on a run."""
     nothing = {"share": 0.0, "executed_line": 0, "lines": None, "time_s": None, "time_left_s": None, "operator": ""}
     return {name: view.get(name, none) for name, none in nothing.items()}
 
@@ -246,9 +246,7 @@ def _agent(status: Json | None, away: Problem | None) -> AgentView:
 def make_machine_view(
     machine: KnownMachine, status: Json | None, away: Problem | None, run: RunRow | None
 ) -> MachineView:
-    """Make a mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has
-    control.
-    """
+    """Make the view of a mill: its profile, whether its agent answers, its state, its open run, and who has control."""
     profile = machine.profile
     name = quote(machine.name, safe="")
     here = f"/v1/machines/{name}"
@@ -275,7 +273,7 @@ def make_machine_view(
 
 
 def _profile(profile: MachineProfile) -> Json:
-    """Return what a person chooses a mill by; how bytes get there is the agent's business."""
+    """Return the figures by which a person chooses a mill; its link concerns only the agent."""
     values = dataclasses.asdict(profile)
     names = (
         "description",
@@ -288,13 +286,13 @@ def _profile(profile: MachineProfile) -> Json:
         "homing",
         "spindle",
     )
-    told: Json = {name: values[name] for name in names}
-    told["spindle"] |= {"words": list(profile.spindle.sentences)}
-    return told
+    view: Json = {name: values[name] for name in names}
+    view["spindle"] |= {"words": list(profile.spindle.sentences)}
+    return view
 
 
 def _open_run(run: RunRow) -> OpenRun:
-    """Return how far the run is, to be shown beside the mill."""
+    """Return the run's progress, shown with the mill."""
     return OpenRun(
         id=run.id,
         state=run.state,

@@ -1,1 +1,1 @@
-"""The job engine: few verbs, and DBOS behind them."""
+"""The job engine: a small interface to DBOS."""

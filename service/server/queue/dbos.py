@@ -1,11 +1,11 @@
 """The job engine on DBOS Transact: the only file that imports it.
 
-A ticket is a workflow whose name is its id, and its attempt is the whole of that workflow. It is not a step: steps
-spare a resumed workflow what it has done before, and an attempt sees that in the tables of jobs. Every setting was
-measured.
+A ticket is a workflow whose id is the ticket's, and its attempt is the whole workflow. The attempt is not a step: steps
+let a resumed workflow skip finished work, and an attempt finds its finished work in the tables of jobs. Every setting
+was measured.
 
-What DBOS has begun it queues again for any process that asks, even while the process that began it still works. So
-those who ask first look who owns it, and one of them does so at a time (`_alone`).
+On request of any process, DBOS queues a begun workflow again, even while the process that began it still works. So a
+process first checks who owns it, and only one does so at a time (`_alone`).
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from service.settings import ServerSettings
 NAME = "causticmill"
 QUEUE = "jobs"
 WORKFLOW = "job"
-# Of what is in the engine's rows, not of the program: another number would leave the jobs of the old one lying.
+# Version of the contents of the engine's rows, not of the program: another number would abandon the jobs of the old
+# one.
 SCHEMA_VERSION = "1"
 POLL_S = 0.2
-# A job may be begun so often, at one worker, before it counts as one that kills its workers.
+# A job may be begun this often at one worker before it counts as one that kills its workers.
 MAX_RECOVERY_ATTEMPTS = 1000
 POOL = {"pool_size": 4, "max_overflow": 6, "pool_pre_ping": True}
 OPEN = ["ENQUEUED", "DELAYED", "PENDING"]
@@ -93,7 +94,7 @@ class DbosEngine:
         def job(text: str) -> None:
             runner.run(text)
 
-        # Before the launch: DBOS looks for queues once a second only.
+        # Before the launch, because DBOS looks for queues only once a second.
         self._clients().register_queue(QUEUE, worker_concurrency=slots, polling_interval_sec=POLL_S)
         DBOS.launch()
         self._serving = True
@@ -109,7 +110,7 @@ class DbosEngine:
                 self._queue_again(self._runner.list_strays(self.find_owners()))
 
     def give_back(self, ticket: Ticket, executor: str) -> None:
-        """Queue it again, unless somebody else has it by now."""
+        """Queue the ticket again, unless another process has it by now."""
         with self._alone():
             if self.owns(ticket, executor):
                 self._queue_again([ticket])
@@ -132,8 +133,8 @@ class DbosEngine:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        """Keep all others out, of this process and of others: nobody queues again what another has just been given.
-        PostgreSQL shuts out who stands still here for long.
+        """Exclude all other threads and processes, so that no one queues a ticket again that another has just been
+        given. PostgreSQL ends the lock of a process that hangs here for long.
         """
         if self._path is not None:
             with self._path.with_suffix(".lock").open("w") as file:
@@ -157,7 +158,9 @@ class DbosEngine:
         return self._clients().list_workflows(workflow_ids=ids, load_input=False, load_output=False)
 
     def _clients(self) -> DBOSClient:
-        """Return the client, made at the first use; an operation without a database fails instead of waiting for it."""
+        """Return the client, which is made at its first use; an operation fails if the database is away instead of
+        waiting for it.
+        """
         with self._lock:
             if self._client is None:
                 self._client = DBOSClient(
@@ -186,13 +189,13 @@ class DbosEngine:
 
 
 def _cut_to_first_line(record: logging.LogRecord) -> bool:
-    """Cut a message to its first line: whole tracebacks come when the database is away for a moment."""
+    """Cut a message to its first line: when the database is away for a moment DBOS logs whole tracebacks."""
     record.msg, record.args = record.getMessage().partition("\n")[0], None
     return True
 
 
 def _redirect_logs() -> None:
-    """Send DBOS's words where all of the program's go, warnings and worse; it would write to stderr itself."""
+    """Send DBOS's warnings and errors to the program's log; DBOS would write to stderr itself."""
     logger = logging.getLogger("dbos")
     logger.handlers[:] = [logging.NullHandler()]
     logger.filters[:] = [_cut_to_first_line]

@@ -1,5 +1,5 @@
-"""The job engine as the rest of the service sees it: it promises that what was submitted runs until it has ended. What
-a job is, and which state it is in, is not its business: that is service/server/database.
+"""The interface of the job engine. It guarantees that a submitted ticket runs until it has ended. Jobs and their states
+are not its concern; they are in service/server/database.
 
 A ticket that a worker has taken is run here: its attempt is called again, after a pause, as long as it is fenced and
 the ticket is still this worker's.
@@ -17,7 +17,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class Ticket:
-    """One attempt of one job: what the engine runs. `text` is its name in the engine."""
+    """A ticket for one attempt of one job, which the engine runs. `text` is its name in the engine."""
 
     job_id: str
     attempt: int
@@ -40,25 +40,27 @@ class Fenced(Exception):
 
 
 class Busy(Fenced):
-    """Raised by an attempt when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
+    """Raised by an attempt when every slot of this worker is taken: the ticket is queued again, for any worker that is
+    free.
+    """
 
 
 class JobEngine(Protocol):
     """The client's side may be used in any process; `serve` only in a worker."""
 
     def prepare(self) -> None:
-        """Make what the engine needs in the database, or bring it up to date. Workers only."""
+        """Create or upgrade the engine's tables in the database. Workers only."""
 
     def submit(self, ticket: Ticket, *, priority: int) -> None:
-        """Queue durably. A ticket that is known already is left as it is. Smaller priority runs earlier."""
+        """Queue a ticket durably. A known ticket is left as it is. A smaller priority runs earlier."""
 
     def cancel(self, ticket: Ticket) -> None:
-        """Keep it from being started (again). A running attempt is not stopped: it sees the job's own
+        """Prevent a ticket from being started (again). A running attempt is not stopped: it reads the job's own
         cancel_requested.
         """
 
     def list_known(self, tickets: list[Ticket]) -> set[Ticket]:
-        """List those of the tickets that the engine will run, runs, or has run."""
+        """List those of the tickets that the engine will run, is running, or has run."""
 
     def find_owners(self) -> dict[Ticket, str]:
         """Find the executor of each ticket that has begun and not ended."""
@@ -70,13 +72,15 @@ class JobEngine(Protocol):
         """Drop the history of tickets that have ended."""
 
     def serve(self, attempt: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
-        """Begin to run tickets in threads of this process: first those that this executor had begun before."""
+        """Start running tickets in threads of this process, first those that this executor had begun before."""
 
     def take_over(self, executors: list[str]) -> None:
-        """Run here what these executors, which are dead, had begun. Safe to repeat and to race."""
+        """Run here the tickets that these dead executors had begun. Safe to repeat and to race."""
 
     def pick_up(self) -> None:
-        """Run what the engine says this executor has begun, but has not: the answer to its beginning was lost."""
+        """Run the tickets that, according to the engine, this executor has begun but that do not run here: the answer
+        to their start was lost.
+        """
 
     def close(self) -> None: ...
 
@@ -86,7 +90,7 @@ STRAY_S = 5.0
 
 
 class Ownership(Protocol):
-    """Whose a ticket is, as the engine has it."""
+    """The owner of a ticket, according to the engine."""
 
     def owns(self, ticket: Ticket, executor: str) -> bool: ...
 
@@ -94,7 +98,7 @@ class Ownership(Protocol):
 
 
 class TicketRunner:
-    """What DBOS calls: the attempt, again and again while it is fenced and the ticket is still ours."""
+    """Called by DBOS: runs the attempt again and again while it is fenced and the ticket is still ours."""
 
     def __init__(self, attempt: Callable[[Ticket], None], engine: Ownership, executor: str) -> None:
         self._attempt = attempt
@@ -126,7 +130,7 @@ class TicketRunner:
             except Fenced as error:
                 self._pause.wait(RETRY_PAUSE_S)
                 if (isinstance(error, Busy) and self._try_give_back(ticket)) or self._is_lost(ticket):
-                    # DBOS sees for itself that the ticket is no longer ours, and records nothing.
+                    # DBOS itself notices that the ticket is no longer ours, and records nothing.
                     return None
 
     def _try_give_back(self, ticket: Ticket) -> bool:

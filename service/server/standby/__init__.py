@@ -1,1 +1,1 @@
-"""Serves stops while the API does not: before it is there, while it is started again, and while it hangs."""
+"""Serves stops while the API does not: before it is ready, while it restarts, and while it hangs."""

@@ -1,5 +1,4 @@
-"""`python -m service.server.standby.main`: the standby's process, a child of the supervisor. It answers stops, and
-nothing else.
+"""`python -m service.server.standby.main`: the standby's process, a child of the supervisor. It answers only stops.
 
 It imports neither database nor framework, so that stops are served a moment after the start.
 """
@@ -47,7 +46,7 @@ _OF_RUN = re.compile(rf"/v1/runs/(?P<run>[^/:]+):(?P<stop>{Stop.HOLD}|{Stop.ABOR
 
 
 class StandbyApp:
-    """ASGI. Answers are the server's; one about a run is as its mill's agent has it."""
+    """ASGI. Answers are those of the server; one about a run is as its mill's agent reports it."""
 
     def __init__(self, settings: ServerSettings, stops: MachineStops, stoppers: StopperFile) -> None:
         self._stops = stops
@@ -172,7 +171,7 @@ class StandbyProtocol(ProblemProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._handing is not None:
-            self._handing.cancel()  # at once: the number of its descriptor may be another caller's in a moment
+            self._handing.cancel()  # at once: its descriptor may be reused for another caller in a moment
         super().connection_lost(exc)
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:

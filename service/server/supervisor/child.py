@@ -1,4 +1,4 @@
-"""One child of the supervisor: started, listened to, started again with growing pauses, stopped.
+"""One child of the supervisor: starts it, reads its heartbeats, restarts it with growing pauses, stops it.
 
 `python -m service.server.supervisor.child MODULE` is that child: it runs the `main` of a module, tied to our life.
 """
@@ -26,11 +26,11 @@ FAILED, REFUSED = 1, 2
 
 
 class SupervisedChild:
-    """`module` runs while it is wanted; `beats` is the pipe to listen to (None while it does not run).
+    """Keeps `module` running while it is wanted; `beats` is the pipe of its heartbeats (None while it does not run).
 
     trusted : the server was ready with it
-    lease_s : it is killed when it was not heard of for so long; `passed` are descriptors it inherits
-    on_end  : called each time that it has ended
+    lease_s : it is killed after so long without a heartbeat; `passed` are descriptors that it inherits
+    on_end  : called each time it has ended
     """
 
     def __init__(
@@ -68,12 +68,14 @@ class SupervisedChild:
 
     @property
     def refused(self) -> bool:
-        """It will not have its configuration. One that it had before is not at fault: then it is started again."""
+        """The child has refused its configuration. One that it accepted before cannot be at fault: then the child is
+        restarted.
+        """
         return self.code == REFUSED and not self.running and not self._proven
 
     @property
     def failed(self) -> bool:
-        """It ended by itself and has said why, before the server was ready with it: the same would come again."""
+        """The child ended by itself, with a reason, before the server was ready: a restart would fail again."""
         return self.code == FAILED and not self.trusted
 
     @property
@@ -82,7 +84,7 @@ class SupervisedChild:
 
     @property
     def due_at(self) -> float | None:
-        """When it wants to be looked at next, without anything having happened."""
+        """When `look` must be called next if nothing happens before."""
         return self._again_at if self._process is None else self._listened_at + self._lease_s / 4
 
     def start(self) -> None:
@@ -108,14 +110,14 @@ class SupervisedChild:
         self._silence.restart()
 
     def listen(self) -> None:
-        """Read its beats since."""
+        """Read the heartbeats that have arrived."""
         self._listened_at = time.monotonic()
         with contextlib.suppress(BlockingIOError):
             while self.beats is not None and os.read(self.beats, 4096):
                 self._silence.restart()
 
     def look(self, *, wanted: bool) -> None:
-        """Notice its end, kill it when it is frozen, start it again when its time has come."""
+        """Notice the child's end, kill it if it is frozen, restart it when it is due."""
         now = time.monotonic()
         if self._process is not None:
             self.listen()
@@ -161,7 +163,7 @@ def main() -> int | None:
     """Run a module's `main`; it sees its own name and the arguments after it."""
     lifeline.begin()
     sys.argv = sys.argv[1:]
-    gc.disable()  # importing makes nothing but what stays
+    gc.disable()  # everything that importing creates stays
     module = importlib.import_module(sys.argv[0])
     gc.freeze()
     gc.enable()

@@ -1,6 +1,6 @@
 """`python -m service.server.supervisor.simulated_agent`: the agent of the simulated mill, as a child of `serve`.
 
-Agents of real mills outlive the server. This one would watch over nothing: its mill ends with the server.
+Agents of real mills outlive the server. This one ends with the server, because its mill does too.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A mill to try everything on, as a child of `serve --with-simulated-mill`.
+"""A simulated mill for trying everything, as a child of `serve --with-simulated-mill`.
 
-A model of a GRBL router with homing switches, twenty times as fast as a real one, on a port of its own. It forgets
-where it was when it ends, as a mill does that was switched off.
+It is a model of a GRBL router with homing switches, twenty times as fast as a real one, on its own port. When it ends
+it forgets its position, like a mill that is switched off.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
 TIME_FACTOR = 20.0
-_TOUCHED_AT_MM = (-210.0, -210.0, -30.0)  # machine X, Y, Z of what a probe touches: a plate on a block's corner
+_TOUCHED_AT_MM = (-210.0, -210.0, -30.0)  # machine X, Y, Z of the plate on a block's corner that a probe touches
 _PIN_RADIUS_MM = 1.5
 _PROFILE = """# Written anew each time that `causticmill serve --with-simulated-mill` starts.
 extends = "grbl"
@@ -61,7 +61,7 @@ def _leave(*_: object) -> NoReturn:
 
 
 def make_mill() -> SimulatedMill:
-    """Return the mill itself; it keeps no record of what it cuts."""
+    """Return the mill, which keeps no record of its cuts."""
     from_here_mm = GRBL_11.power_up_machine_mm  # where the recording is zero
     left, front, top = (at - here for at, here in zip(_TOUCHED_AT_MM, from_here_mm, strict=True))
     plate = CornerPlate(left_mm=left, front_mm=front, tool_radius_mm=_PIN_RADIUS_MM)

@@ -42,7 +42,7 @@ _SIMULATED = {
 _GRACE_S = 20.0
 _FIRST_FAILURES = 5
 _PROBE_S = 0.05
-_LONG_S = 10.0  # no server takes so long to be ready where all is well
+_LONG_S = 10.0  # a healthy server is ready sooner
 _LONG_PROBE_S = 2.0
 _ANSWER_S = 1.0
 _TICK_S = 60.0
@@ -72,7 +72,7 @@ class Supervisor:
         self._children = [_watch(name, modules[name], listener, self._line, offer) for name in names]
 
     def run(self) -> int:
-        """Run until told to stop, or until a child refuses its configuration; return the exit code."""
+        """Run until a signal stops it, or until a child refuses its configuration; return the exit code."""
         with _wakeups(self._obey_signal) as wake, selectors.DefaultSelector() as selector:
             selector.register(wake, selectors.EVENT_READ)
             for child in self._children:
@@ -90,7 +90,7 @@ class Supervisor:
 
     def _handle_signal(self) -> None:
         """Ask the children to end well at the first signal, end them at the second."""
-        heard = self._signals  # another may come while this one is obeyed
+        heard = self._signals  # another may come while this one is handled
         if heard > self._heeded:
             if self._code is None:
                 self._stop(0)
@@ -110,9 +110,9 @@ class Supervisor:
                 child.signal(signal.SIGKILL)
 
     def _judge(self) -> None:
-        """Stop where a child cannot go on; announce once that the server is ready."""
+        """Stop if a child cannot go on; announce once that the server is ready."""
         if any(child.refused for child in self._children):
-            self._stop(EXIT_INPUT)  # it said why itself
+            self._stop(EXIT_INPUT)  # the child has given the reason itself
             return
         if self._ready:
             return
@@ -133,7 +133,7 @@ class Supervisor:
                 self._announce(f"not ready: {words}")
 
     def _announce(self, words: str) -> None:
-        """Announce where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
+        """Announce the address and the state. A mill needs its agent even if no jobs can be accepted."""
         where, folder = url_of(self._listener), _read_setting("DATA")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
@@ -145,9 +145,7 @@ class Supervisor:
         self._announced = True
 
     def _show_code(self, where: str) -> None:
-        """Show the code on a terminal only: it opens a mill, and what goes into files and pipes is stored and
-        shipped.
-        """
+        """Show the code only on a terminal: it gives access to a mill, and files and pipes are stored and passed on."""
         if (terminal := _terminal()) is not None and self._offer:
             terminal.write(code_lines(terminal, where, code_of(self._offer)))
             terminal.flush()
@@ -163,7 +161,7 @@ class Supervisor:
             child.signal(signal.SIGCONT)
 
     def _select_timeout_s(self) -> float:
-        """Return how long nothing needs to be looked at unless a signal comes."""
+        """Return the time until something must be checked if no signal comes."""
         if self._code is None and not self._ready:
             return _LONG_PROBE_S if self._announced else _PROBE_S
         due = [child.due_at for child in self._children if child.due_at is not None]
@@ -173,7 +171,7 @@ class Supervisor:
 
 
 def main() -> int:
-    """Run as `causticmill serve`. An argument name=module says what runs as worker, API or agents; name=: nothing."""
+    """Run as `causticmill serve`. An argument name=module sets the module of worker, API or agents; name=: none."""
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
     modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL") == "true" else {})
     modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
@@ -229,7 +227,7 @@ def _wakeups(stop: Callable[[int, FrameType | None], None]) -> Iterator[socket.s
         signal.set_wakeup_fd(its.fileno(), warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         for kind in lifeline.STOPPING:
-            if signal.getsignal(kind) is not signal.SIG_IGN:  # nohup means it
+            if signal.getsignal(kind) is not signal.SIG_IGN:  # a signal ignored by nohup stays ignored
                 signal.signal(kind, stop)
         yield ours
         signal.set_wakeup_fd(-1)

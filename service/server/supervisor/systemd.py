@@ -1,7 +1,7 @@
 """systemd units of the server and of the agents of mills.
 
-The server's unit starts no agents: what it starts ends with it, and an agent must outlive it. Each agent has a unit of
-its own.
+The server's unit starts no agents, because everything it starts ends with it and an agent must outlive it. Each agent
+has its own unit.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class UnitOrder:
 
 
 def unit_text(order: UnitOrder) -> str:
-    """Return the unit. InputError where a name cannot stand in one."""
+    """Return the unit. InputError if a name cannot stand in one."""
     if order.machine is not None and not _NAME.fullmatch(order.machine):
         raise InputError(f"--machine {order.machine!r}; allowed: letters, digits, . _ -")
     if not _NAME.fullmatch(order.account):
@@ -129,7 +129,7 @@ def unit_text(order: UnitOrder) -> str:
 
 
 def install(order: UnitOrder, *, force: bool) -> list[str]:
-    """Write the unit and the data folder; the lines say what the person does next."""
+    """Write the unit and make the data folder; return lines with the person's next steps."""
     text = unit_text(order)
     try:
         if order.path.exists() and not force and _OURS not in order.path.read_text(encoding="utf-8"):
@@ -172,7 +172,7 @@ def _harden(order: UnitOrder, data: str) -> str:
 
 
 def _command() -> str:
-    """Return the command of this very installation."""
+    """Return the command of this installation."""
     beside = Path(sys.executable).with_name("causticmill")
     found = str(beside) if beside.is_file() else shutil.which("causticmill")
     if found is None:
@@ -187,7 +187,7 @@ def _word(text: str, name: str) -> str:
 
 
 def _text(text: str, name: str) -> str:
-    """Return the text as systemd will read it again: a specifier or a variable in it would mean something else."""
+    """Escape the text so that systemd does not expand specifiers or variables in it."""
     if not text.isprintable() or any(c in text for c in "\"'\\"):
         raise InputError(f"{name} {text!r} cannot stand in a unit file; allowed: a name without quotes and backslashes")
     return text.replace("%", "%%").replace("$", "$$")

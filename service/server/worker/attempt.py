@@ -1,9 +1,9 @@
 """One attempt of one job: its stages in order, each reused, or run in a process of its own and committed; and what all
 attempts of a worker share.
 
-Called by the engine as often as it takes. It returns once the job has ended, for whatever reason; it raises `Fenced`
-where this worker must not go on now, and then another call, here or elsewhere, goes on after the last committed stage.
-A stage that crashes is tried again. A database that is away for a while costs no work.
+The engine calls it as often as necessary. It returns once the job has ended, for any reason. It raises `Fenced` if this
+worker must not go on now; another call, here or elsewhere, then continues after the last committed stage. A stage that
+crashes is tried again. A database that is away for a while costs no work.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Result = TypeVar("Result")
 
 
 class Processes(Protocol):
-    """What the body needs of StageProcesses."""
+    """The part of StageProcesses that an attempt uses."""
 
     def run(
         self, order: Any, *, log: Path, on_progress: Callable[[float], None], stop: Callable[[], str | None]
@@ -51,7 +51,7 @@ class Processes(Protocol):
 
 @dataclass(frozen=True)
 class WorkerContext:
-    """All that a worker's jobs share."""
+    """What all jobs of a worker share."""
 
     settings: ServerSettings
     executor: str
@@ -63,13 +63,13 @@ class WorkerContext:
 
     @property
     def scratch(self) -> Path:
-        """Where this worker's stages work; no other worker's do."""
+        """The folder in which this worker's stages work; no other worker uses it."""
         return self.settings.scratch / self.executor
 
 
 @contextmanager
 def fence_outage() -> Iterator[None]:
-    """Fence an attempt whose database cannot be reached: no fault of the job, which is gone on with later."""
+    """Fence an attempt whose database cannot be reached: it is not the job's fault, and the job continues later."""
     try:
         yield
     except AWAY as error:
@@ -77,7 +77,7 @@ def fence_outage() -> Iterator[None]:
 
 
 def retry_while_away(write: Callable[[], Result]) -> Result:
-    """Retry while the database is away: work of hours is not thrown away over a restart of it."""
+    """Retry while the database is away, so that its restart does not cost hours of work."""
     deadline = time.monotonic() + RETRY_S
     while True:
         try:
@@ -93,7 +93,7 @@ log = structlog.get_logger()
 
 
 class StageRunner:
-    """Stages in order; `_files` are those that they have made."""
+    """Runs the stages in order; `_files` are the files that they have made."""
 
     def __init__(self, context: WorkerContext, claim: Claim, watched: Watched) -> None:
         self._context = context
@@ -105,7 +105,7 @@ class StageRunner:
         self._files: dict[str, FileRef] = {}
 
     def run(self) -> None:
-        """Run every stage, then end the job; or end it on the way."""
+        """Run every stage, then end the job; a stage that fails or is cancelled ends it earlier."""
         for stage in self._so_far.stages():
             with structlog.contextvars.bound_contextvars(stage=stage):
                 result = self._run_or_reuse(stage)
@@ -118,7 +118,7 @@ class StageRunner:
         self._finish(JobState.SUCCEEDED, report=self._so_far.report)
 
     def _run_or_reuse(self, stage: str) -> StageResult | None:
-        """Reuse equal work done before, or run the stage; None where the job has ended here."""
+        """Reuse equal work done before, or run the stage; None if the job has ended here."""
         key = stage_key(
             stage,
             self._so_far.job,
@@ -187,7 +187,7 @@ class StageRunner:
             end = self._context.processes.run(order, log=path, on_progress=on_progress, stop=self._watched.reason)
         finally:
             self._watched.news = None
-            shutil.rmtree(order.scratch, ignore_errors=True)  # a process that was killed could not
+            shutil.rmtree(order.scratch, ignore_errors=True)  # a process that was killed has left it behind
         log.info("stage ends", number=begun.number, end=type(end).__name__)
         return end
 
@@ -197,9 +197,7 @@ class StageRunner:
         return result
 
     def _end_stopped(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
-        """End a stopped stage. Cancelled: the job ends, too. Otherwise it goes on elsewhere, or here at another
-        time.
-        """
+        """End a stopped stage. If it was cancelled the job ends too; otherwise it goes on elsewhere, or here later."""
         if reason == "cancelled":
             if begun is not None:
                 self._close(begun, StageState.CANCELLED, "cancelled", record)
@@ -238,19 +236,19 @@ class StageRunner:
         return retry_while_away(lambda: self._context.work.count_crashes(self._claim, stage))
 
     def _store_log(self, path: Path) -> FileRef | None:
-        """Return what the stage's process said, put into the store; None where it said nothing."""
+        """Store the output of the stage's process and return it; None if there is none."""
         try:
             if path.stat().st_size == 0:
                 return None
             stored = self._context.store.put_file(path)
             return FileRef(stored.sha256, stored.bytes)
-        except (OSError, FailedError):  # a full disk: the stage is worth more than its words
+        except (OSError, FailedError):  # a full disk: the stage matters more than its log
             return None
         finally:
             path.unlink(missing_ok=True)
 
     def _job_share(self, stage: str, share: float) -> float:
-        """Return how far the job is, where this stage is at `share`."""
+        """Return the share of the job that is done when this stage is at `share`."""
         return min(1.0, self._done_share + share * self._shares[stage])
 
     def _scratch(self, begun: StageTry, kind: str) -> Path:
@@ -261,7 +259,7 @@ MEGA = 1_000_000
 
 
 class Attempt:
-    """What the engine calls with each ticket, from several threads."""
+    """Attempts at jobs. The engine calls it with each ticket, from several threads."""
 
     def __init__(self, context: WorkerContext) -> None:
         self._context = context
@@ -279,7 +277,7 @@ class Attempt:
                 self._run(claim)
 
     def list_active(self) -> set[str]:
-        """List ids of the jobs that this worker is about: those it may be claiming just now included."""
+        """List the ids of the jobs that this worker works on, including those it may be claiming just now."""
         with self._lock:
             return set(self._active)
 
@@ -300,7 +298,7 @@ class Attempt:
         retry_while_away(lambda: self._context.work.finish(claim, JobState.FAILED, error=error))
 
     def _require_fitness(self) -> None:
-        """Begin nothing without a lease, while stopping, or on a disk that is full."""
+        """Refuse to begin without a lease, while stopping, or on a full disk."""
         context = self._context
         if context.watch.stopping.is_set() or not context.lease.is_safe():
             raise Fenced("this worker may not work now")
@@ -313,7 +311,9 @@ class Attempt:
 
     @contextmanager
     def _hold_slot(self) -> Iterator[None]:
-        """Hold a slot. The engine counts, too, but may hand out one more while a ticket is on its way to a thread."""
+        """Hold a slot. The engine also counts slots, but may hand out one too many while a ticket is on its way to a
+        thread.
+        """
         if not self._slots.acquire(blocking=False):
             raise Busy("all slots are taken")
         try:

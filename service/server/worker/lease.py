@@ -1,12 +1,12 @@
-"""Whether a worker and its jobs may go on: its claim to be alive, a row in the database that it renews, and the wishes
-about its running jobs.
+"""Decides whether a worker and its jobs may go on: by its lease, a row in the database that it renews, and by the
+requests about its running jobs.
 
 Theory of operation: others take a worker's jobs when its row is older than one lease, by the database's clock. The
-worker itself stops working at 0.6 of a lease without a successful beat, in real time, a pause or a suspended computer
-included (`machines.clock`), and counted from before the beat was sent; so it has stopped before anyone takes over,
-however slow the beat's answer was. The supervisor of a stage asks five times a second whether to go on, and must be
-answered at once, database or not: one thread per worker asks the database for all of its jobs, and writes their
-progress, at most twice a second per job.
+worker itself stops working after 0.6 of a lease without a successful heartbeat. This is real time, including a pause or
+a suspended computer (`machines.clock`), and counts from before the heartbeat was sent. So it has stopped before anyone
+takes over, however slow the answer was. The supervisor of a stage asks five times a second whether to go on, and must
+get an answer at once, with or without a database: one thread per worker queries the database for all of its jobs, and
+writes their progress, at most twice a second per job.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class NameTakenError(Exception):
 class Lease:
     """The row of one worker. `boot` tells its process from others of the same name.
 
-    alone : nobody can take over, as a lock makes this process the only worker of the database; then it need not stop
-            where the database is away for longer (a backup that locks the file), and `safe` is about the row only
+    alone : no one can take over, because a lock makes this process the only worker of the database; then it need not
+    stop if the database is away for longer (a backup that locks the file), and `safe` only depends on the row
     """
 
     database: sa.Engine
@@ -56,7 +56,7 @@ class Lease:
     _good_at: float = field(default=float("-inf"), init=False)
 
     def take(self) -> None:
-        """Put the row there: from now on this process is the worker of this name."""
+        """Write the row: from now on this process is the worker of this name."""
         begun = self.monotonic()
         with begin_writing(self.database) as connection:
             at = clock(connection)
@@ -65,7 +65,7 @@ class Lease:
         self._good_at = begun
 
     def renew(self) -> None:
-        """Renew the row. NameTakenError where it is another process's."""
+        """Renew the row. NameTakenError if it is another process's."""
         begun = self.monotonic()
         with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
@@ -75,7 +75,7 @@ class Lease:
         self._good_at = begun
 
     def give_back(self) -> None:
-        """Give the lease back: others need not wait for it to run out."""
+        """Give the lease back, so that others need not wait until it expires."""
         with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
             connection.execute(executors.delete().where(mine))
@@ -88,7 +88,7 @@ class Lease:
 
 
 class LeaseRenewer:
-    """Beats a lease from a thread of its own. `on_taken` is called once where the name is another process's."""
+    """Renews a lease in its own thread. `on_taken` is called once if another process has taken the name."""
 
     def __init__(self, lease: Lease, on_taken: Callable[[], None]) -> None:
         self._lease = lease
@@ -105,7 +105,7 @@ class LeaseRenewer:
         self._thread.join(timeout=self._lease.lease_s)
 
     def is_turning(self) -> bool:
-        """Return False where the thread has hung for a lease: the process had better be started again."""
+        """Return False if the thread has hung for a lease: then the process should be restarted."""
         return not self._hang.is_over
 
     def _run(self) -> None:
@@ -117,7 +117,7 @@ class LeaseRenewer:
                 log.error("name taken: another process works under this executor's name")
                 self._on_taken()
                 return
-            except Exception as error:  # the database is away: the lease runs down by itself
+            except Exception as error:  # the database is away: the lease expires by itself
                 log.warning("no beat", error=str(error).splitlines()[0], safe=self._lease.is_safe())
 
 
@@ -132,7 +132,7 @@ PROGRESS_S = 0.5
 
 
 class Watched:
-    """A running job: what is wanted of it, and how far it is."""
+    """A running job: requests to it, and its progress."""
 
     def __init__(self, claim: Claim, lease: Lease, stopping: threading.Event) -> None:
         self.claim = claim
@@ -172,7 +172,7 @@ class Watch:
 
     @contextmanager
     def follow(self, claim: Claim) -> Iterator[Watched]:
-        """Look after a job as long as it runs."""
+        """Watch a job as long as it runs."""
         watched = Watched(claim, self._lease, self.stopping)
         with self._change:
             self._jobs[claim.job.id] = watched

@@ -2,8 +2,8 @@
 
 Brings the database up to date, makes sure that it is the only worker of its name, and runs jobs until SIGTERM.
 
-Theory of operation: where jobs wait from before, the process that stages are forked from is started first of all: it
-imports for as long as everything else here takes, on another core. So nothing heavy is imported at the top.
+Theory of operation: if jobs are waiting, the fork server is started first: on another core, its imports take as long as
+everything else here. So nothing heavy is imported at the top.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from service.settings import ServerSettings
 
 
 def main(*, entry: str = STAGE_ENTRY) -> int:
-    """Run until told to stop; one line on stderr and a code where that cannot be. entry: what stages run."""
+    """Run until stopped; if it cannot start, print one line on stderr and return an exit code. entry: of the stages."""
     end = catch_stop()
     try:
         settings = ServerSettings.load()
@@ -39,17 +39,17 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
     except ServiceError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
-    # The engine's threads wait for tickets that this worker has left for its next start: they are not waited for.
+    # The engine's threads wait for tickets that this worker has left for its next start, so they are not joined.
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)
 
 
 def catch_stop() -> socket.socket:
-    """Return a socket that becomes readable when this process is told to stop.
+    """Return a socket that becomes readable when a signal asks this process to stop.
 
-    The interpreter writes to it in the very handler: a wait for what a handler of ours would do (set an event, fill a
-    queue) never ends where the signal comes just before the wait begins.
+    The interpreter's own handler writes to it. A Python handler (one that sets an event or fills a queue) would not do:
+    if the signal comes just before the wait begins, the wait would never end.
     """
     ours, its = socket.socketpair()
     its.setblocking(False)
@@ -73,7 +73,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
             print(f"ready: worker {worker.context.executor}", flush=True)
             if prepare:
                 threading.Thread(target=warmup.compile_for_jobs, name="warm-up", daemon=True).start()
-            gc.freeze()  # what is here now stays: not worth looking at again and again
+            gc.freeze()  # all present objects stay: no need to scan them again and again
             end.recv(1)
             worker.stop()
     except sa.exc.SQLAlchemyError as error:
@@ -82,7 +82,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
 
 
 def _has_waiting_jobs(settings: ServerSettings) -> bool:
-    """Return whether there are jobs to go on with, without any library, where the database is a file; else no."""
+    """Return whether jobs are waiting, without any library, if the database is a file; otherwise False."""
     try:
         with closing(sqlite3.connect(f"file:{settings.sqlite}?mode=ro", uri=True, timeout=0.1)) as database:
             query = "SELECT 1 FROM jobs WHERE state IN ('queued', 'running') LIMIT 1"

@@ -1,7 +1,7 @@
-"""Makes what the engine does agree with what the jobs' table says: every few seconds, in every worker.
+"""Reconciles the engine with the jobs' table every few seconds, in every worker.
 
-Level-triggered: each turn looks at how things are and not at what has changed, so a turn that fails or a worker that
-dies between two steps leaves nothing lying. Every step may be repeated, and raced by other workers.
+Level-triggered: each turn looks at the present state and not at changes, so nothing is forgotten if a turn fails or a
+worker dies between two steps. Every step may be repeated, and may race with other workers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Queued = dict[Ticket, int]  # and the priority of each
 
 
 class Reconciler:
-    """`list_active` tells which jobs this worker is about."""
+    """`list_active` returns the jobs on which this worker works."""
 
     def __init__(
         self,
@@ -47,10 +47,10 @@ class Reconciler:
         self._executor = executor
         self._lease_s = lease_s
         self._list_active = list_active
-        self._last: tuple[int, float, str] | None = None  # place in the queue up to which the turn before has looked
+        self._last: tuple[int, float, str] | None = None  # place in the queue up to which the last turn has looked
 
     def reconcile(self) -> None:
-        """Look at everything that runs, and at the next 200 jobs of the queue, which mostly is all of it."""
+        """Check everything that runs, and the next 200 jobs of the queue, which is usually all of it."""
         self.release_claims()
         queued = self._find_next_queued()
         self._submit_unknown(queued)
@@ -60,9 +60,11 @@ class Reconciler:
         self._end_given_up(queued, live)
 
     def release_claims(self) -> None:
-        """Release jobs that are under this worker's name without running here: the holder of the ticket may claim them.
+        """Release jobs that have this worker's name but do not run here, so that the holder of the ticket can claim
+        them.
 
-        They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
+        They are from before its restart, or it was fenced out of them while the engine gave the ticket to another
+        worker.
         """
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)
         with begin_reading(self._database) as connection:
@@ -70,15 +72,15 @@ class Reconciler:
         for job_id in found:
             with begin_writing(self._database) as connection, suppress(UnknownJobError):
                 job, at = lock_job(connection, job_id), clock(connection)
-                # Asked again under the lock: who is about to claim the job has said so before.
+                # Check again under the lock: a thread that is about to claim the job has announced it before.
                 if job.owner == self._executor and job_id not in self._list_active():
                     log.info("let go", job=job_id)
                     interrupt_tries(connection, job, at=at)
                     change_job(connection, job, owner=None, fence=job.fence + 1)
 
     def _find_next_queued(self) -> Queued:
-        """Return the jobs of the queue after those of the turn before, with their priorities; from its head after its
-        end.
+        """Return the jobs of the queue after those of the last turn, with their priorities; start from its head after
+        its end.
         """
         place = sa.tuple_(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
         query = (
@@ -96,14 +98,14 @@ class Reconciler:
         return {Ticket(row.id, row.attempt): row.priority for row in rows if row.queued_at < at - GRACE_S}
 
     def _submit_unknown(self, queued: Queued) -> None:
-        """Submit queued jobs that the engine has not heard of: the API died, or could not reach it."""
+        """Submit queued jobs that the engine does not know: the API died, or could not reach it."""
         known = self._engine.list_known(list(queued))
         for ticket in [ticket for ticket in queued if ticket not in known]:
             log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
             self._engine.submit(ticket, priority=queued[ticket])
 
     def _take_over_dead(self) -> set[str]:
-        """Run elsewhere the tickets begun by workers that are not heard of any more; return the live workers."""
+        """Take over the tickets of workers that are no longer alive; return the live workers."""
         owners = set(self._engine.find_owners().values())
         with begin_reading(self._database) as connection:
             live = list_live_executors(connection, self._lease_s) | {self._executor}
@@ -123,7 +125,7 @@ class Reconciler:
     def _end_given_up(self, queued: Queued, live: set[str]) -> None:
         """End jobs that wait or run although the engine is done with their ticket.
 
-        The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
+        The engine is queried first and the job read afterwards, because an attempt ends the job before its ticket ends.
         """
         query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state == str(JobState.RUNNING))
         with begin_reading(self._database) as connection:
@@ -135,7 +137,7 @@ class Reconciler:
     def _end(
         self, job_id: str, live: set[str], state: JobState, error: Json | None, *, attempt: int | None = None
     ) -> None:
-        """End a job in the name of its owner, unless somebody has it in hand."""
+        """End a job in its owner's name, unless someone is working on it."""
         with begin_writing(self._database) as connection:
             try:
                 job, at = lock_job(connection, job_id), clock(connection)
@@ -154,7 +156,7 @@ class Reconciler:
 
 
 class PeriodicThread:
-    """Calls something again and again from a thread of its own; an error is logged, and the next round tries again."""
+    """Calls a function periodically in its own thread; an error is logged, and the next round tries again."""
 
     def __init__(self, name: str, work: Callable[[], None], *, every_s: float) -> None:
         self._name = name

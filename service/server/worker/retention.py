@@ -1,10 +1,10 @@
-"""Ended jobs go by age and by disk quota, and the store's files that nobody names any more go with them.
+"""Deletes ended jobs by age and by disk quota, and with them the store's files that nothing refers to any more.
 
-Theory of operation: files go with what named them, as soon as nothing else does; what a crash leaves between the two
-is found by the sweep, which compares the store with the tables a part at a time. A file that nothing names may still be
-about to be named: by a stage that has stored it and not yet committed, by a picture whose job is just being made. Both
-store it (again) first, which renews its time; so only files stored more than an hour before the names were read are
-deleted, and the store itself looks at that time once more as it deletes.
+Theory of operation: files are deleted with the last row that refers to them. The sweep, which compares the store with
+the tables a part at a time, finds files that a crash has left behind. A file without a reference may still get one:
+from a stage that has stored it and not yet committed, or from a job that is just being made. Both store the file
+(again) first, which renews its time. So only files stored more than an hour before the references were read are
+deleted, and the store itself checks that time again as it deletes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from service.settings import ServerSettings
 from service.store.base import MissingObjectError, Store
 
 GRACE_S = 3600.0
-"""A file that nothing names stays so long after it was stored; as long the engine knows of an ended job."""
+"""How long a file without a reference stays after it was stored, and how long the engine keeps an ended job."""
 DAY_S = 86400.0
 BATCH = 20
 CHUNK = 500
@@ -39,7 +39,7 @@ _NAMES = (artifacts.c.sha256, jobs.c.image_sha256, stage_runs.c.log_sha256, resu
 
 
 class Retention:
-    """One turn does a part of it; several workers may do it at once."""
+    """One turn does a part of the work; several workers may do it at once."""
 
     def __init__(
         self,
@@ -78,9 +78,7 @@ class Retention:
             pass
 
     def _drop_to_quota(self, quota: int) -> None:
-        """Drop first results that only might be used again, the longest unused first; then whole jobs, the oldest
-        first.
-        """
+        """First drop results that only might be reused, the longest unused first; then whole jobs, the oldest first."""
         while sum(self._named_bytes.values()) > quota:
             if self._drop_results(unused_for_s=self._grace_s, limit=BATCH):
                 continue
@@ -89,7 +87,7 @@ class Retention:
                 return
 
     def _drop_jobs(self, *, older_than_s: float, limit: int) -> int:
-        """Delete the oldest ended jobs, but those whose programs a mill has in hand. Returns how many went."""
+        """Delete the oldest ended jobs, except those whose programs are on a mill. Return the number deleted."""
         on_mill = sa.select(runs.c.job_id).where(runs.c.open)
         with begin_reading(self._database) as connection:
             ended = jobs.c.ended_at <= clock(connection) - older_than_s
@@ -133,7 +131,7 @@ class Retention:
         return dropped
 
     def _drop_files(self, hashes: set[str]) -> None:
-        """Drop files of something that is gone, unless something else names them."""
+        """Drop the files of a deleted row, unless another row refers to them."""
         named, at = self._find_named(lambda column: column.in_(hashes))
         for sha256 in hashes - named:
             with suppress(MissingObjectError):
@@ -142,7 +140,7 @@ class Retention:
                 self._named_bytes[part] = max(0, self._named_bytes.get(part, 0) - size)
 
     def _find_named(self, wanted: Callable[[sa.Column[Any]], sa.ColumnElement[bool]]) -> tuple[set[str], float]:
-        """Find those hashes that the tables name, and the time at which they did."""
+        """Return those hashes to which the tables refer, and the time of the query."""
         with self._database.connect() as plain:
             connection = plain if is_sqlite(plain) else plain.execution_options(isolation_level="REPEATABLE READ")
             with connection.begin():

@@ -1,4 +1,4 @@
-"""What the fork server imports before any fork, and what a child does with its order."""
+"""The imports of the fork server before any fork, and the function by which a child carries out its order."""
 
 from __future__ import annotations
 

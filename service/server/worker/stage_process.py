@@ -1,11 +1,11 @@
-"""Stages as child processes: `StageProcesses.run` starts one in the fork server and supervises it to its end: its
-words, beats, time and log, and the wish to stop it. A cancelled, late or silent stage is killed with everything it
-started, and `run` returns only when nobody is left.
+"""Stages as child processes: `StageProcesses.run` starts one in the fork server and supervises it to its end: messages,
+heartbeats, time, log, and requests to stop it. A cancelled, late or silent stage is killed with everything it started,
+and `run` returns only when none of its processes is left.
 
 The log is kept short: a stage that says the same thing for hours must not fill the disk. The process appends to the
-file by itself, so the worker cannot shorten it without losing words just written: now and then it gives the disk blocks
-of the middle back, and takes the middle out when nobody writes any more. What was said first and what was said last
-shows why a stage went wrong.
+file by itself, so the worker cannot shorten it without losing lines just written. Instead it frees the disk blocks of
+the middle now and then, and removes the middle when no one writes any more. The first and the last lines show why a
+stage went wrong.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from service.settings import SAFE_SHARE, ServerSettings
 
 _TICK_S = 0.1
 _GRACE_S = 1.0  # between SIGTERM and SIGKILL
-_REAP_S = 5.0  # a fork server that has not told of a dead child by then is stuck
-_MEMORY_SHARE = 0.9  # a crash so near to the limit is the limit's
+_REAP_S = 5.0  # a fork server that has not reported a dead child by then is stuck
+_MEMORY_SHARE = 0.9  # a crash this close to the limit is blamed on the limit
 MOST_LOG_BYTES = 1_000_000
 HALF_LOG = MOST_LOG_BYTES // 2
 CUT = b"\n... (cut here: the stage said more than 1 MB) ...\n"
@@ -42,14 +42,14 @@ CUT = b"\n... (cut here: the stage said more than 1 MB) ...\n"
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """It has done its work: what the stage's function returned, as plain JSON values."""
+    """The stage has succeeded: the value that its function returned, as plain JSON."""
 
     result: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Something the person gave cannot be used. Trying again changes nothing. `field`: key of the spec, or ""."""
+    """The person's input cannot be used. Trying again would not help. `field`: key of the spec, or ""."""
 
     lines: tuple[str, ...]
     field: str = ""
@@ -57,45 +57,45 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The stage itself failed: a check, the disk, out of memory, out of time. Trying again changes nothing."""
+    """The stage itself failed: a check, the disk, out of memory, out of time. Trying again would not help."""
 
     lines: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Crashed:
-    """Its process ended without a word: a signal, an exit, an error of the program itself. It may be tried again."""
+    """The process ended without a result: by a signal, an exit, or a bug in the program. It may be tried again."""
 
     words: str
 
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """It was told to end ("cancelled"), or its worker may no longer own the job ("fenced")."""
+    """The stage was stopped: by a cancel ("cancelled"), or because its worker may no longer own the job ("fenced")."""
 
     reason: str
 
 
 StageEnd = Done | Refused | Failed | Crashed | Stopped
-"""How one try of one stage can end."""
+"""The possible ends of one try of one stage."""
 
 
 class StageLog:
-    """What a stage's process says, in a file, which must be there."""
+    """The log of a stage's process, in a file, which must exist."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._freed = HALF_LOG
 
     def look(self) -> None:
-        """Look while it is being written."""
+        """Check its size while it is being written."""
         end = self._path.stat().st_size - HALF_LOG
         if end > self._freed + MOST_LOG_BYTES:
             give_back_blocks(self._path, self._freed, end - self._freed)
             self._freed = end
 
     def end(self) -> None:
-        """End it, as nobody writes any more: the first half, and the last."""
+        """Finish the log when no one writes any more: keep its first and its last half."""
         size = self._path.stat().st_size
         if size > MOST_LOG_BYTES:
             with self._path.open("r+b") as file:
@@ -108,7 +108,7 @@ class StageLog:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What one supervision is about."""
+    """The subject of one supervision."""
 
     settings: ServerSettings
     log: StageLog
@@ -117,7 +117,7 @@ class Task:
 
 
 class Supervision:
-    """Use once: `follow` returns how the stage ended, when nobody of its group is left."""
+    """Use once: `follow` returns the stage's end when no process of its group is left."""
 
     def __init__(self, child: ForkedChild, pipe: int, task: Task) -> None:
         self._child, self._task = child, task
@@ -161,7 +161,7 @@ class Supervision:
                 self._beaten_at = now
                 self._child.send_beat()
         overdue_s = now - _GRACE_S - min(self._term_at, self._closed_at)
-        if overdue_s > 0:  # told to end, or without its pipe, and still there
+        if overdue_s > 0:  # asked to end, or without its pipe, and still running
             signal_stage(self._child.pid, signal.SIGKILL)
         if overdue_s > _REAP_S:
             self._child.give_up()
@@ -171,8 +171,8 @@ class Supervision:
         signal_stage(self._child.pid, signal.SIGTERM)
 
     def _leave_nobody(self) -> None:
-        """Leave no process, also after an error of the worker's own; the fork server has reaped the group, or is
-        dead.
+        """End every process, also after an error in the worker itself. Afterwards the fork server has reaped the group,
+        or is dead.
         """
         if not self._child.gone.is_set():
             signal_stage(self._child.pid, signal.SIGKILL)
@@ -254,12 +254,12 @@ class StageProcesses:
         self._link = ForkServerLink(settings.environment(), entry, memory_mb=settings.stage_memory_mb)
 
     def warm(self) -> None:
-        """Begin to get ready for a stage; returns at once."""
+        """Begin to prepare for a stage; return at once."""
         with contextlib.suppress(ForkServerError):  # it is ending
             self._link.begin()
 
     def close(self) -> None:
-        """End every process; stages that run end as crashed, and none is started any more."""
+        """End every process; running stages end as crashed, and no more are started."""
         self._link.close()
 
     def run(
@@ -270,11 +270,11 @@ class StageProcesses:
         on_progress: Callable[[float], None],
         stop: Callable[[], str | None],
     ) -> StageEnd:
-        """Run one stage to its end; when this returns no process of it lives.
+        """Run one stage to its end; when this returns, none of its processes is alive.
 
         order : a dataclass or mapping of plain values; log : what the stage prints is added to this file
-        stop  : asked at least 5 times per second: "cancelled", "fenced" or None. A beat is passed on only after it
-                has answered: as long as it hangs, so does the worker's claim, and the stage ends itself at 0.6 lease
+        stop  : asked at least 5 times per second: "cancelled", "fenced" or None. A heartbeat is passed on only after it
+        has answered: while it hangs, so does the worker's claim, and the stage ends itself after 0.6 of a lease
         """
         with _Files(order, log) as files:
             child = self._start_child(files, stop)
@@ -285,7 +285,7 @@ class StageProcesses:
             return Supervision(child, files.words, task).follow()
 
     def _start_child(self, files: _Files, stop: Callable[[], str | None]) -> ForkedChild | StageEnd:
-        """Start a child; a fork server that is not there yet is waited for."""
+        """Start a child; wait for the fork server if it is not ready."""
         words = ""
         for _ in range(_STARTS):
             try:
@@ -300,7 +300,7 @@ class StageProcesses:
 
 
 class _Files:
-    """The files of one child: what it is given, and the worker's end of its pipe of words."""
+    """The files of one child: its input, and the worker's end of its pipe of messages."""
 
     def __init__(self, order: Any, log: Path) -> None:
         plain = dict(order) if isinstance(order, Mapping) else dataclasses.asdict(order)
@@ -323,7 +323,9 @@ class _Files:
             raise
 
     def hand_over(self) -> None:
-        """Close what the child has of its own: the pipe's end shall show when the child has closed it."""
+        """Close the worker's copies of the child's files, so that the end of the pipe shows when the child has closed
+        it.
+        """
         while self.given:
             os.close(self.given.pop())
 

@@ -1,9 +1,9 @@
-"""Compiles what stages need, by small jobs of its own: soon after a worker's start, so that the first person's job need
-not wait for it, and beside a command whose first stages compile other kernels.
+"""Compiles the kernels that stages need by running small jobs: soon after a worker's start, so that the first job need
+not wait, and alongside a command whose first stages compile other kernels.
 
-It is a child process that gives way to all others. It begins with light, while the command solves the map of its lens;
-for whole jobs it goes on with a lens and with reading a program, and another child, begun by it, makes programs for a
-lens that is there already and shows them as milled. The marks of `kernel_cache` say that all is done.
+It is a child process of the lowest priority. It begins with light, while the command solves the map of its lens. For
+whole jobs it goes on with a lens and with reading a program; a second child, which it starts, makes programs for an
+existing lens and simulates them as milled. The marks of `kernel_cache` record what is done.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\
 
 
 def begin(task: str = JOBS) -> Child | None:
-    """Start the process; None where nothing of the task is left to compile. The caller ends it."""
+    """Start the process; None if nothing of the task is left to compile. The caller ends the process."""
     return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _begin_part(task)
 
 
 def compile_for_jobs() -> None:
-    """Compile what jobs need, and return when that is done."""
+    """Compile the kernels of jobs, and return when they are done."""
     if (child := begin()) is not None:
         try:
             with suppress(ChildError, ServiceError):  # the first job compiles what is missing
@@ -50,7 +50,7 @@ def compile_for_jobs() -> None:
 
 @contextmanager
 def compile_beside(task: str) -> Iterator[None]:
-    """Compile for this task while the block does it, which then leaves nothing to compile."""
+    """Compile for this task while the `with` block performs it; when the block ends, nothing is left to compile."""
     child = begin(task)
     try:
         yield
@@ -75,7 +75,7 @@ def _begin_part(part: str) -> Child:
 def main() -> None:
     from service.processes.child_work import answer_requests
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its folder is taken away
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its folder is being removed
     answer_requests("cm-preparing", _compile, parent_ends_it_with=signal.SIGTERM)
 
 
@@ -128,7 +128,7 @@ def _warm_programs(folder: Path) -> None:
 
 
 def _put_dome(folder: Path) -> None:
-    """Write a lens that nobody had to compute, and an even picture."""
+    """Write a lens that needs no computing, and an even picture."""
     import numpy as np
 
     from optics.heightfield import Heightfield

@@ -1,5 +1,5 @@
-"""A worker, put together: what it refuses to start with, because jobs could be lost or done twice, what it is made of,
-in which order it starts, and how it stops.
+"""A worker as a whole: the conditions under which it refuses to start, because jobs could be lost or done twice; its
+parts, their starting order, and how it stops.
 
 Threads: heart (lease), watch (wishes and progress of running jobs), reconcile, retention, and those of the engine.
 """
@@ -82,13 +82,13 @@ def executor_name(settings: ServerSettings) -> str:
 
 
 def refuse_network_disk(settings: ServerSettings, mounts: Callable[[], str] = MOUNTS.read_text) -> None:
-    """Raise InputError where the SQLite file would lie on a disk of another computer: its locks do not hold there."""
+    """Raise InputError if the SQLite file would be on another computer's disk, where its locks do not work."""
     if not settings.embedded:
         return
     try:
         kind = file_system_of(settings.data, mounts())
     except OSError:
-        return  # not Linux: nobody says
+        return  # not Linux: there is no way to find out
     if kind in NETWORK:
         raise InputError(
             f"CAUSTICMILL_DATA: {settings.data} is on a network file system ({kind}), where a SQLite database is not "
@@ -109,7 +109,9 @@ def file_system_of(folder: Path, mounts: str) -> str:
 
 
 def lock_data(settings: ServerSettings) -> IO[str]:
-    """Make this process the one worker of a data folder with its own database; the file is to be kept open."""
+    """Make this process the only worker of a data folder with its own database. The caller keeps the returned file
+    open.
+    """
     try:
         file = (settings.data / LOCK_NAME).open("a+", encoding="ascii")
     except OSError as error:
@@ -121,7 +123,7 @@ def lock_data(settings: ServerSettings) -> IO[str]:
 
 
 class NameLock:
-    """The lock of a worker's name in PostgreSQL; it ends with its connection. InputError where it is taken."""
+    """The lock of a worker's name in PostgreSQL; it ends with its connection. InputError if it is taken."""
 
     def __init__(self, database: sa.Engine, executor: str) -> None:
         self._database = database
@@ -136,11 +138,11 @@ class NameLock:
             )
 
     def keep(self) -> None:
-        """Lock it again where the connection was lost. A worker that took it meanwhile has written over our lease."""
+        """Lock it again if the connection was lost. A worker that took it meanwhile has overwritten our lease."""
         try:
             self._connection.execute(sa.text("SELECT 1"))
         except sa.exc.SQLAlchemyError:
-            self._connection.close()  # closed it stays, and fails the next time, until there is a new one
+            self._connection.close()  # it stays closed, so the next use fails, until there is a new one
             self._connection = self._connect()
             self._take()
 
@@ -183,7 +185,7 @@ log = structlog.get_logger()
 
 @contextmanager
 def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator[Worker]:
-    """Open a worker that is the only one of its name. InputError where it would not be safe to work."""
+    """Open the only worker of its name. InputError if it would not be safe to work."""
     refuse_network_disk(settings)
     executor = executor_name(settings)
     with ExitStack() as stack:
@@ -194,7 +196,7 @@ def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator
         engine = DbosEngine(settings)
         database = open_database(settings)
         name = None if settings.embedded else NameLock(database, executor)
-        # The engine's tables first: who finds ours up to date may use both.
+        # The engine's tables first: a process that finds ours up to date may use both.
         engine.prepare()
         open_database(settings, migrate=True).dispose()
         ours = version("causticmill")
@@ -207,7 +209,7 @@ def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator
 
 @dataclass
 class Worker:
-    """All parts of a worker, put together."""
+    """A worker with all its parts."""
 
     context: WorkerContext
     database: sa.Engine
@@ -265,6 +267,6 @@ class Worker:
             log.warning("the lease was not given back", error=str(error).splitlines()[0])
 
     def _leave(self) -> None:
-        """End, with everything that runs, as another process works under our name and must not be hindered."""
+        """End this process and everything it runs: another process works under our name and must not be disturbed."""
         self.context.processes.close()
         os._exit(EXIT_NAME_TAKEN)

@@ -31,7 +31,7 @@ _POINTS = {"M": 1, "L": 1, "C": 3, "Z": 0}
 _CODES = {"M": Curve.MOVETO, "L": Curve.LINETO, "C": Curve.CURVE4}
 
 Word = tuple[str, bool]
-"""A word and whether it is bold."""
+"""A word and its weight (bold or not)."""
 
 
 class Paper:
@@ -44,7 +44,7 @@ class Paper:
         self._order = 0
 
     def render_pdf(self, title: str) -> bytes:
-        """Return the file; in fonts that text can be copied from, without the date."""
+        """Return the PDF file, without a date, with fonts from which text can be copied."""
         self._axes.set(xlim=(0, WIDTH), ylim=(HEIGHT, 0))
         buffer = io.BytesIO()
         with matplotlib.rc_context({"pdf.fonttype": 42}):
@@ -87,8 +87,8 @@ class Paper:
         self._axes.add_patch(PathPatch(path, zorder=self._take_order(), **look))
 
     def draw_picture(self, png: bytes, right: float, top: float, side: float, *, beside: int = 1) -> float:
-        """Draw a picture into a square's upper right; return how far left it reaches. beside: pictures in a row in it,
-        each as large.
+        """Draw a picture in the upper right of a square; return its left edge. beside: number of equally large pictures
+        in a row in it.
         """
         with Image.open(io.BytesIO(png)) as opened:
             shown = opened.convert("L")
@@ -110,7 +110,7 @@ class Paper:
 
 
 class _Drawn:
-    """Elements of an SVG at their place on the sheet."""
+    """Draws the elements of an SVG in their place on the sheet."""
 
     def __init__(self, paper: Paper, x: float, y: float, scale: float) -> None:
         self._paper, self._scale = paper, scale
@@ -190,7 +190,7 @@ def words_of(html: str) -> list[Word]:
 
 
 def wrap(words: Sequence[Word], width: float, size: float) -> Iterator[list[Word]]:
-    """Yield lines no wider than `width`; a longer word is broken."""
+    """Yield lines no wider than `width`; a word that is wider is broken."""
     line: list[Word] = []
     left = width
     for word in (part for whole in words for part in _break(whole, width, size)):
@@ -214,7 +214,7 @@ def _break(word: Word, width: float, size: float) -> Iterator[Word]:
 
 
 def known(text: str) -> str:
-    """Return the text with a box for each character that the font has not got."""
+    """Return the text with a box in place of each character that the font lacks."""
     marks = _characters()
     return "".join(one if ord(one) in marks else "\N{WHITE SQUARE}" for one in text)
 

@@ -1,4 +1,4 @@
-"""What all figures of a report are drawn on: a figure of matplotlib, its size, and its PNG."""
+"""The common base of a report's figures: a figure of matplotlib, its size, and its PNG."""
 
 from __future__ import annotations
 

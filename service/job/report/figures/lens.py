@@ -45,7 +45,7 @@ def heightfield_png(
     heights, relief = figure.subplots(1, 2)
     extent = (float(x_mm[0]), float(x_mm[-1]), float(y_mm[0]), float(y_mm[-1]))
     depth_mm, middle_mm = float(np.ptp(z_mm)), float(z_mm.max() + z_mm.min()) / 2
-    half_mm = max(depth_mm, _LEAST_SCALE_MM) / 2  # the rounding errors of a flat lens are not worth a colour
+    half_mm = max(depth_mm, _LEAST_SCALE_MM) / 2  # do not colour the rounding errors of a flat lens
     image = heights.imshow(
         z_mm, extent=extent, origin="lower", cmap=COLOURS, vmin=middle_mm - half_mm, vmax=middle_mm + half_mm
     )
@@ -77,7 +77,7 @@ def _draw_outline(axes: Axes, outline_mm: Sequence[Sequence[float]], extent: tup
     left, right, low, high = extent
     frame = [(left, low), (right, low), (right, high), (left, high), (left, low)]
     rim = [(float(x), float(y)) for x, y in outline_mm]
-    hole = [*rim, rim[0]][::-1]  # the other way round than the frame, so that the veil spares it
+    hole = [*rim, rim[0]][::-1]  # in the opposite direction to the frame, so that the veil leaves it out
     codes = [code for ring in (frame, hole) for code in (Path.MOVETO, *[Path.LINETO] * (len(ring) - 2), Path.CLOSEPOLY)]
     veil = PathPatch(Path([*frame, *hole], codes), facecolor="white", alpha=0.75, edgecolor="none")
     axes.add_patch(veil)
@@ -90,7 +90,7 @@ def shade_by_raking_light(x_mm: Array, y_mm: Array, z_mm: Array) -> Array:
     """
     light = LightSource(azdeg=315, altdeg=40)
     dy_mm = float(y_mm[1] - y_mm[0])
-    # LightSource takes row 0 for the top; ours has the lowest y
+    # LightSource takes row 0 as the top; ours has the lowest y
     return np.asarray(light.hillshade(z_mm, dx=float(x_mm[1] - x_mm[0]), dy=-dy_mm), dtype=np.float64)
 
 

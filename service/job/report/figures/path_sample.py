@@ -1,13 +1,13 @@
-"""A few of a program's moves, for a person to look at: taken from the stream of all of them, in bounded memory.
+"""Selects a few of a program's moves for a drawing, from the stream of all moves and in bounded memory.
 
 Three kinds of move are kept of each pass: rows some two millimetres apart over the whole part, everything inside a
 small window at the rim, and the moves that reach farthest in x, y and z. Ten million moves go past; about a hundred
 thousand stay.
 
 Of a contour pass a few tracks are kept, evenly strewn, as long as they stay clear of each other. The path is followed
-once. A track is drawn from where it is at least one distance away from all that is drawn already, until it comes nearer
-than half of that: the lines of a drawing of a flow, except that every one is a piece of the path itself, and stretches
-of other layers (before the last entry into the longest stretch) are left out.
+once. A track is drawn from where it is at least one distance away from all drawn tracks until it comes nearer than half
+of that, like lines in a drawing of a flow; but every line is a piece of the path itself. Stretches of other layers
+(before the last entry into the longest stretch) are left out.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ Mask = NDArray[np.bool_]
 _MERGED_MM = 0.4  # moves of the whole-part panel are joined up to this length: less than two pixels
 _ENTRIES_KEPT = 2000
 _ACROSS = 42  # drawn tracks over the shorter side
-_OWN = 4.0  # distances: as far back along the path a track does not mind itself
-_SHORTEST = 2.5  # distances: shorter pieces are not drawn
+_OWN = 4.0  # in distances: a track ignores itself this far back along the path
+_SHORTEST = 2.5  # in distances: shorter pieces are not drawn
 _WINDOW_PITCHES = 30
 _S, _DRAWING = range(2)
 
@@ -58,7 +58,7 @@ def square(x0_mm: float, y0_mm: float, side_mm: float) -> Window:
 
 
 class PathSample:
-    """What toolpath.png needs of one pass; `add` the batches of its program in order."""
+    """The moves of one pass for toolpath.png; `add` the batches of its program in order."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class PathSample:
         everywhere: bool = True,
         limit: int = 200_000,
     ) -> None:
-        """Begin. along: which way the rows run; everywhere: False where only places are cut: the window shows the
+        """Begin. along: which way the rows run; everywhere: False if only places are cut: the window shows the
         first.
         """
         self.label = label
@@ -99,7 +99,7 @@ class PathSample:
         self._extreme_moves = np.zeros((6, 2, 3))
 
     def add(self, start_mm: Array, end_mm: Array, rapid: Mask) -> None:
-        """Take the next moves, straight from start (n, 3) to end (n, 3). Pauses, which go nowhere, are passed over."""
+        """Take the next moves, straight from start (n, 3) to end (n, 3). Pauses are skipped."""
         moving = (start_mm != end_mm).any(axis=1)
         if not moving.all():
             start_mm, end_mm, rapid = start_mm[moving], end_mm[moving], rapid[moving]
@@ -136,7 +136,7 @@ class PathSample:
         return self._jumps.segments()
 
     def zoom_mm(self) -> tuple[Array, Array]:
-        """Return cutting and rapid moves (k, 2, 3) that meet the window; of very many, the last ones."""
+        """Return cutting and rapid moves (k, 2, 3) that meet the window; if there are very many, the last ones."""
         return self._zoomed_cuts.segments(), self._zoomed_jumps.segments()
 
     def entry_points_mm(self) -> Array:
@@ -179,7 +179,7 @@ class PathSample:
             self.row_distance_mm *= 2
             for kept in (self._cuts, self._jumps):
                 kept.keep_only(self._on_a_shown_row(kept.starts(), kept.ends()))
-                if self.row_distance_mm > 1e6:  # everything lies in one row: thin that out
+                if self.row_distance_mm > 1e6:  # everything is in one row: thin that out
                     kept.keep_only(np.arange(kept.count) % 2 == 0)
 
     def _on_a_shown_row(self, start_mm: Array, end_mm: Array) -> Mask:
@@ -268,7 +268,7 @@ def _strew(start, end, corner, cell, apart, stamps, state, chosen):  # type: ign
 
 @dataclass(slots=True, eq=False)
 class _Stretch:
-    """What is kept of the path since the tool last came down."""
+    """The sample of the path since the tool last came down."""
 
     stamps: Array
     state: Array
@@ -284,7 +284,7 @@ class _Stretch:
 
 
 class ContourSample(PathSample):
-    """Of a contour pass. `row_distance_mm` is the distance between the tracks drawn."""
+    """The sample of a contour pass. `row_distance_mm` is the distance between the drawn tracks."""
 
     def __init__(self, *, pitch_mm: float, radius_mm: float, width_mm: float, height_mm: float, **others: Any) -> None:
         """Begin as a `PathSample`; it has no rows and always covers all: `along` and `everywhere` change nothing."""

@@ -1,7 +1,7 @@
 """toolpath.png: each pass seen from above, the whole part, and beside or below it single tracks.
 
-Of a contour pass the whole part shows pieces of the path, coloured by height: a piece along a contour line has one
-colour. Its single tracks are coloured by the order in which they are cut.
+For a contour pass, the picture of the whole part shows pieces of the path coloured by height: a piece along a contour
+line has one colour. Its single tracks are coloured by the order in which they are cut.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from service.job.report.figures.path_sample import ContourSample, PathSample
 
 __all__ = ["PathSample", "toolpath_png"]
 
-_CMAP = ListedColormap(colormaps[COLOURS](np.linspace(0.0, 0.87, 256)))  # its yellow end is lost on white
+_CMAP = ListedColormap(colormaps[COLOURS](np.linspace(0.0, 0.87, 256)))  # its yellow end is invisible on white
 _ORDER = ListedColormap(colormaps["turbo"](np.linspace(0.03, 0.97, 256)))
 _RAPID = "crimson"
 _SIDE_BY_SIDE = 3  # passes
@@ -163,7 +163,7 @@ def _draw_ends(axes: Axes, sample: ContourSample) -> None:
 
 
 def _draw_moves(axes: Axes, cuts: Array, jumps: Array, norm: Normalize, *, width: float) -> None:
-    flat: list[Any] = [cuts[:, :, :2], jumps[:, :, :2]]  # the stubs know of sequences only, an array is drawn faster
+    flat: list[Any] = [cuts[:, :, :2], jumps[:, :, :2]]  # the stubs only allow sequences; an array is drawn faster
     lines = LineCollection(flat[0], cmap=_CMAP, norm=norm, linewidths=width, capstyle="round")
     lines.set_array(cuts[:, :, 2].mean(axis=1))
     axes.add_collection(lines)

@@ -1,5 +1,5 @@
-"""Figures of photographs: of a measured test piece, in its place, with what the finish left of each ripple; and of a
-job's wall, in the picture's own place, beside the prediction, with what was found (look.png).
+"""Figures of photographs. A measured test piece is shown rectified, with what the finish left of each ripple. A job's
+wall is shown rectified beside the prediction, with the findings (look.png).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The trade as a picture: what plans of different length would show, and how much each hour brings."""
+"""The trade-off as a picture: the light of plans of different length, and the gain of each hour."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _draw_curve(axes: Axes, planned: Planned) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers between two hours, a handful: the coarsest kind that gives three."""
+    """Return a few round numbers between two hours: the coarsest series that gives three."""
     for bases in ((1, 2, 5), (1, 1.5, 2, 3, 5, 7), tuple(part / 10 for part in range(10, 100))):
         every = [base * 10.0**power for power in range(-3, 5) for base in bases]
         inside = [tick for tick in every if low * 0.99 <= tick <= high * 1.01]

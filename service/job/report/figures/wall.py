@@ -1,5 +1,5 @@
-"""Figures of the light on the wall, PNG: caustic beside target, as milled, out of focus, and with a set-up that is not
-exact; exposed as `light_png` says.
+"""Figures of the light on the wall as PNG: caustic beside target, as milled, out of focus, and with an inexact set-up;
+exposed as in `light_png`.
 
 A picture here is (ny, nx) linear irradiance as the viewer sees it, row 0 at the top.
 Every function returns the bytes of a PNG and writes nothing.
@@ -52,7 +52,7 @@ def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated cau
 
 
 def preparation_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes:
-    """Draw the picture as it was given and as the lens aims at it, both with the same amount of light."""
+    """Draw the picture as given and as prepared for the lens, both with the same amount of light."""
     white = float(max(np.quantile(given, 0.999), np.quantile(prepared, 0.999)))
     figure = new_figure(9.0, 0.5 + panel_height(4.4, *given.shape))
     panels = figure.subplots(1, 2)
@@ -116,7 +116,7 @@ def _show_picture(axes: Axes, title: str, picture: Array, white: float) -> None:
 
 
 def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, white: float) -> bytes:
-    """Draw curves above, and below some of the pictures that they stand for.
+    """Draw the curves above, and some of the corresponding pictures below.
 
     pictures : (caption, picture as the viewer sees it, row 0 on top); all at one exposure, `white` is 255
     """

@@ -88,16 +88,16 @@ class OrderRoutes:
         body, shown = await read_body(request, LeaseBody), read_control(request)
         secret, lease, new = self._orders.take_lease(body.operator, body.principal, shown, take_over=body.take_over)
         await self._agent.access.call(lambda mill: mill.publish())
-        told = lease.as_dict() | {"control": secret, "expires_s": LEASE_S}
-        return JSONResponse(told, status_code=201 if new else 200)
+        view = lease.as_dict() | {"control": secret, "expires_s": LEASE_S}
+        return JSONResponse(view, status_code=201 if new else 200)
 
     async def check(self, request: Request) -> Response:
-        """Raise OrderRefusedError where somebody else than the caller has control."""
+        """Raise OrderRefusedError if somebody else than the caller has control."""
         self._orders.require_free(read_control(request))
         return Response(status_code=204)
 
     async def release(self, request: Request) -> Response:
-        """Release control, if it was the caller's. OrderRefusedError where it is somebody else's."""
+        """Release control, if it was the caller's. OrderRefusedError if it is somebody else's."""
         control = read_control(request)
         if not self._orders.release_lease(control):
             self._orders.require_free(control)

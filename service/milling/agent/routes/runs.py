@@ -1,4 +1,4 @@
-"""/v1/runs: parked, started, held, resumed, aborted, recovered. Each start is a person's word, by name.
+"""/v1/runs: parked, started, held, resumed, aborted, recovered. Each start is a named person's order.
 
 /v1/programs: the agent's own copies, brought by the caller or fetched from the job server, by hash.
 """
@@ -57,7 +57,7 @@ class ProgramRoutes:
         """Delete a copy; one that a run may still need stays."""
         sha256 = (await self._find(request)).sha256
 
-        def remove(mill: Mill) -> None:  # on the mill's thread: no run of it can be parked or recovered meanwhile
+        def remove(mill: Mill) -> None:  # on the mill's thread: meanwhile no run of it can be parked or recovered
             needed = [run for run in mill.runs if run.program == sha256 and run.state is not RunState.FINISHED]
             if needed:
                 words = ", ".join(f"{run.id} ({run.state.value})" for run in needed[:3])
@@ -132,12 +132,14 @@ class RunRoutes:
         return _run_response(run, status=201)
 
     def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunReport:
-        """Park on the mill's thread, where removals run as well: the program is still there once the run is known."""
+        """Park on the mill's thread, which also runs removals, so that the program is still there once the run is
+        known.
+        """
         self._agent.store.entry(path.stem)
         return mill.park(facts, path, name)
 
     def _find_parked(self, key: str, program: str) -> RunReport | None:
-        """Find the run that this key has parked; a Problem where it was for another program."""
+        """Find the run that this key has parked; a Problem if it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
         if run is not None and run.program != program:
@@ -175,8 +177,8 @@ class RunRoutes:
         return self._answer(request)
 
     def halt(self, stop: Stop) -> Callable[..., object]:
-        """Make the endpoint of a stop of the live run. For another run it is refused, but it is counted all the same:
-        no order that was given before it, such as this run's start, is carried out any more.
+        """Make the endpoint of a stop of the live run. For another run it is refused but still counted, so that no
+        earlier order, such as this run's start, is carried out any more.
         """
 
         async def endpoint(request: Request) -> Response:
@@ -192,7 +194,7 @@ class RunRoutes:
         return endpoint
 
     def _require_present(self, run: RunReport) -> None:
-        """Raise Problem 409 where the mill is about another run: this would be an order to the wrong one."""
+        """Raise Problem 409 if the mill has another run, to which the order would be wrong."""
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
             raise Problem(

@@ -1,14 +1,14 @@
-"""The door: who calls, and what they may do.
+"""Identifies callers, and decides what they may do.
 
-The guard is plain ASGI, so that streams pass through untouched. Before any route is looked at, it holds every request
-against what a browser or a stranger could make up, in this order: what is not HTTP, malformed or foreign headers, who
-is calling, how much they ask for. A caller is known by a token; without one, and only as long as no token was ever
-made, somebody on this very computer (not somebody whom a proxy on it lets in) may work with jobs, never with mills. How
-much one caller may ask for is a bucket of requests for each, which fills up again with time.
+The guard is plain ASGI, so that streams pass through untouched. Before any route, it checks every request for what a
+browser or a stranger could forge, in this order: other protocols than HTTP, malformed or foreign headers, the caller,
+the rate of requests. A caller is identified by a token. Without one, and only as long as no token was ever made, a
+person on this computer (not one let in by a proxy on it) may work with jobs, never with mills. The rate of each caller
+is limited by a bucket of requests, which refills with time.
 
-A route says which scopes it needs: `require(...)`. A route without it is not open: the guard lets nobody but a known
-caller pass, except to what OPEN names. No scope contains another: `admin` alone moves no mill. What an order comes with
-is read here, too: whose it is, from where, since when, and under which control and grant.
+A route states the scopes that it needs: `require(...)`. A route without it is not open: the guard only admits
+identified callers, except to the paths in OPEN. No scope includes another: `admin` alone moves no mill. The context of
+an order is also read here: who gave it, from where, when, and under which control and grant.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ JOBS_READ, JOBS_WRITE = TokenScope.JOBS_READ, TokenScope.JOBS_WRITE
 MACHINE_RUN, ADMIN = TokenScope.MACHINE_RUN, TokenScope.ADMIN
 
 OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
-OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
+OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everyone: pairing checks its code itself
 OPEN_BELOW = "/page/"  # files that hold no data
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _BURST_S = 10.0
 _LOOK_UPS = 4
-_WRONG_PER_S, _WRONG_AT_ONCE = 20.0, 200.0  # tokens that we have not seen, from one address
+_WRONG_PER_S, _WRONG_AT_ONCE = 20.0, 200.0  # unknown tokens from one address
 _KEY = "causticmill.caller"
 _NEEDED = Phrase("a token is needed: Authorization: Bearer cm_...")
 _bearer = HTTPBearer(auto_error=False, bearerFormat="cm_...", description="A token of `causticmill token create`.")
@@ -65,7 +65,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Principal:
-    """A caller: name of the token, its scopes and its id. Nobody else has the name as long as the token lives."""
+    """A caller: name of the token, its scopes and its id. The name is unique as long as the token is live."""
 
     name: str
     scopes: frozenset[str]
@@ -80,11 +80,11 @@ ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}
 
 @dataclass(slots=True, kw_only=True)
 class Caller:
-    """What the guard has found out of who sends a request.
+    """The guard's findings about the sender of a request.
 
     arrived_s : when the request came, by `suspend_aware_clock_s`
-    at_server : the caller sits at this very computer
-    open_here : let in without a token, from this computer, to an open address
+    at_server : the caller is on this computer
+    open_here : admitted without a token, from this computer, to an open path
     may_stop  : may stop mills
     """
 
@@ -122,7 +122,7 @@ class Guard:
         self._requests = Limiter(settings.requests_per_s, _BURST_S * settings.requests_per_s)
         self._jobs = Limiter(settings.jobs_per_min / 60, settings.jobs_per_min)
         self._wrong = Limiter(_WRONG_PER_S, _WRONG_AT_ONCE)
-        # Threads of its own: a hold never waits for its caller to be recognised behind slow downloads.
+        # Its own threads, so that identifying the caller of a hold never waits behind slow downloads.
         self._threads = ThreadPoolExecutor(_LOOK_UPS, thread_name_prefix="guard")
         self._notes = ThreadPoolExecutor(1, thread_name_prefix="guard-notes")
 
@@ -160,8 +160,8 @@ class Guard:
             self._charge(scope, principal)
 
     async def _admit_stop(self, scope: Scope, headers: Headers) -> None:
-        """Admit a stop, which is never too much and asks for nothing that could be busy: a token that was seen before
-        is known from memory. One that was not is looked up as for any request.
+        """Admit a stop. It is never rate-limited and waits for nothing that could be busy: a known token is found in
+        memory. An unknown one is looked up as for any request.
         """
         caller, secret = caller_of(scope), read_secret(headers)
         if (stopper := self._stop_access.find(secret)) is not None:
@@ -201,7 +201,7 @@ class Guard:
         return await asyncio.get_running_loop().run_in_executor(self._threads, find, *arguments)
 
     def _accept_token(self, token: Token, secret: str) -> Principal:
-        """Accept a token. Its use is noted by another thread: a busy database must not hold a caller up who only
+        """Accept a token. Another thread records its use, so that a busy database does not hold up a caller who only
         reads.
         """
         self._stop_access.remember(secret, token)
@@ -209,14 +209,14 @@ class Guard:
         return _principal(token)
 
     def _note_use(self, token: Token) -> None:
-        """Note a use. A page's token does not end while it watches a run: its use renews it."""
+        """Record a use. It renews a page's token, which therefore does not expire while the page watches a run."""
         with contextlib.suppress(SQLAlchemyError):
             self._tokens.note_use(token, renew_s=PAGE_TOKEN_LIFE_S if self._fleet.has_live_run else None)
 
     def _charge(
         self, scope: Scope, principal: Principal | None, *, bucket: str = "peer", limiter: Limiter | None = None
     ) -> None:
-        """Raise 429 for one who asks for too much."""
+        """Raise 429 if the caller makes too many requests."""
         method, path = scope["method"], scope["path"]
         caller = f"token {principal.id}" if principal else f"{bucket} {self._address(scope)}"
         if wait_s := math.ceil((limiter or self._requests).wait_s(caller)):
@@ -274,7 +274,7 @@ def not_authorised(words: Phrase = _NEEDED) -> Problem:
 
 
 def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
-    """Raise InputError where the server would be reachable from elsewhere without tokens, or without TLS before it."""
+    """Raise InputError if the server would be reachable from elsewhere without tokens, or without TLS before it."""
     if is_loopback(settings.host):
         return
     where = f"--host {settings.host} can be reached from other computers"

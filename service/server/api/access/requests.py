@@ -1,6 +1,6 @@
-"""What a request says and how it may come: where it comes from (this very computer or an address, which a proxy in
-front may have to tell), its token, whether a page of another site made a browser send it, which is refused; and the
-size and the time of its body.
+"""Reads and checks the head of a request: its origin (this computer, or an address, which a proxy may have to supply),
+its token, and whether a page of another site made a browser send it, which is refused. Also limits the size and the
+time of its body.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from service.http.uvicorn_protocol import HEADER_BYTES
 
 _SMALL_BYTES = 64 << 10
 _PIECE_S = 30.0  # without a byte of a body that is under way
-_TAKEN_S = 300.0  # for a piece of a megabyte at most: a line of 4 kB/s is not given up
+_TAKEN_S = 300.0  # for a piece of at most a megabyte: enough for a line of 4 kB/s
 _FORWARDED = frozenset({b"forwarded", b"via", b"x-real-ip"})
-_NETWORK_BITS = 64  # of IPv6: what one household or one attacker has to itself
+_NETWORK_BITS = 64  # of IPv6: the network of one household, or of one attacker
 _HERE, _LONGEST = "this computer", 100
 
 
 def is_here(scope: Scope, headers: Mapping[bytes, bytes]) -> bool:
-    """Return whether the caller is on this computer, and no proxy has passed its request on; some only speak
+    """Return whether the caller is on this computer and no proxy has passed its request on. Some proxies only speak
     HTTP/1.0.
     """
     peer = scope.get("client")
@@ -38,17 +38,18 @@ def is_here(scope: Scope, headers: Mapping[bytes, bytes]) -> bool:
 
 
 def address_of(scope: Scope, *, behind_proxy: bool) -> str:
-    """Return a word for the place that a request comes from, for counting; of IPv6 the network.
+    """Return a name for the origin of a request, by which requests are counted; for IPv6, its network.
 
-    Only a proxy that the settings know of is believed, and of what it passes on only the last entry, its own. One that
-    adds none lets callers make addresses up: what must hold then, too, must not be counted by address alone.
+    Only a proxy that the settings name is trusted, and only the last entry of its header, which it added itself. If a
+    proxy adds none, callers can invent addresses, so limits that must hold in that case too must not count by address
+    alone.
     """
     headers = dict(scope["headers"])
     if is_here(scope, headers) and not behind_proxy:
         return _HERE
     peer = scope.get("client")
-    told = headers.get(b"x-forwarded-for", b"").decode("latin-1").rpartition(",")[2].strip() if behind_proxy else ""
-    return _network(told) or f"by way of {peer[0] if peer else 'nobody'}"[:_LONGEST]
+    named = headers.get(b"x-forwarded-for", b"").decode("latin-1").rpartition(",")[2].strip() if behind_proxy else ""
+    return _network(named) or f"by way of {peer[0] if peer else 'nobody'}"[:_LONGEST]
 
 
 def is_this_computer(address: str) -> bool:
@@ -57,7 +58,7 @@ def is_this_computer(address: str) -> bool:
 
 
 def _network(text: str) -> str:
-    """Return an address as text, or the network of one; "" where it is none."""
+    """Return an address as text, or the network of an IPv6 address; "" if it is not an address."""
     try:
         address = ipaddress.ip_address(text)
     except ValueError:
@@ -131,10 +132,10 @@ def _plain_headers(scope: Scope) -> Headers:
 
 
 class BodyLimits:
-    """ASGI middleware: 413 for a body longer than 64 kB, 408 for one that stops coming, and the end of a connection
-    that stops reading.
+    """ASGI middleware: answers 413 to a body longer than 64 kB and 408 to one that stalls, and ends a connection that
+    stops reading.
 
-    but : a pattern of addresses where bodies are posted that count for themselves
+    but : a pattern of paths whose handlers limit their bodies themselves
     """
 
     def __init__(
@@ -154,7 +155,7 @@ class BodyLimits:
 
         async def receive_within_limits() -> Message:
             nonlocal coming, taken
-            if not coming:  # only the end of the connection is waited for
+            if not coming:  # the body is complete: only the end of the connection is awaited
                 return await receive()
             try:
                 async with asyncio.timeout(self._piece_s):
@@ -164,7 +165,7 @@ class BodyLimits:
             coming = bool(message.get("more_body"))
             taken += len(message.get("body", b""))
             if counts and taken > _SMALL_BYTES:
-                raise HTTPException(413)  # the framework passes this one on, and makes 400 of all others
+                raise HTTPException(413)  # the framework passes this exception on, and turns all others into 400
             return message
 
         async def send_in_time(message: Message) -> None:

@@ -1,9 +1,9 @@
-"""Who may stop a mill: known without asking anybody when the moment comes.
+"""Decides who may stop a mill, from memory, so that a stop waits for nothing.
 
-Whoever stands at the server's own computer; and every token with machine:run that was not revoked, even one that has
-ended: a run of 40 hours outlives a page's token, and whom we let start it we let stop it. The tokens are held in
-memory, from the file of the last server on, and renewed in the background, so that neither a busy database nor a full
-pool keeps a stop from arriving.
+Anyone at the server's own computer may, and every token with machine:run that was not revoked. An expired token may
+too: a run of 40 hours outlives a page's token, and a person who was allowed to start it may stop it. The tokens are
+kept in memory, read at the start from the file of the last server, and renewed in the background, so that neither a
+busy database nor a full pool delays a stop.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _log = structlog.get_logger("api")
 
 
 class StopAccess:
-    """For one event loop. file: where those who may stop are kept for a server that has no database yet."""
+    """For one event loop. file: keeps the list of those who may stop, for a server whose database is not ready yet."""
 
     def __init__(self, tokens: TokenBook, file: Path) -> None:
         self._tokens = tokens
@@ -35,7 +35,7 @@ class StopAccess:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="stop-access")
 
     def find(self, secret: str) -> Stopper | None:
-        """Find whose token this is, if it may stop mills, from memory."""
+        """Return the owner of this token if it may stop mills."""
         return self._stoppers.get(hash_secret(secret)) if secret else None
 
     def knows(self, secret: str) -> bool:
@@ -43,18 +43,18 @@ class StopAccess:
         return bool(secret) and hash_secret(secret) in self._known
 
     def remember(self, secret: str, token: Token) -> None:
-        """Remember one that has just been found to be good."""
+        """Remember a token that has just been found valid."""
         self._known.add(hash_secret(secret))
         if TokenScope.MACHINE_RUN in token.scopes:
             self._stoppers[hash_secret(secret)] = Stopper(token.id, token.name)
 
     async def keep_fresh(self) -> None:
-        """Take over what was made and revoked, until cancelled."""
+        """Follow new and revoked tokens until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             try:
                 self._known, self._stoppers = await loop.run_in_executor(self._thread, self._look)
-            except SQLAlchemyError as error:  # those known stay known
+            except SQLAlchemyError as error:  # the known tokens stay valid
                 _log.warning("tokens were not looked at", error=printable(str(error))[:200])
             await asyncio.sleep(_RENEW_S)
 

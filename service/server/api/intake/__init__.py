@@ -1,1 +1,1 @@
-"""How uploads, pictures and photographs come in and are looked at."""
+"""Receives and checks uploads, pictures and photographs."""

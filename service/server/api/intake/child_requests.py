@@ -1,9 +1,9 @@
-"""What the API asks of child processes: checks of uploaded pictures, so that no decoder ever runs in the process that
-serves; estimates, and looks at photographs.
+"""Requests of the API to child processes: checks of uploaded pictures, so that no decoder runs in the serving process;
+estimates; and evaluations of photographs.
 
-Estimates are made in a process of their own, started when one is asked for and ended when none was for a minute; so are
-exact estimates and looks at photographs, each in another one. One after the other; of each caller only the newest: a
-person who turns a knob asks again before the last answer is there. What takes long is not worked on when nobody waits
+Estimates, exact estimates and evaluations of photographs each have a separate process, which is started on demand and
+ends after an idle minute. Each process handles one request after the other, and only the newest of each caller, because
+a person who moves a slider asks again before the last answer arrives. A long request is not continued when no one waits
 for it: its process ends with the request.
 """
 
@@ -26,7 +26,7 @@ from service.processes.kept_child import ChildClosed, KeptChild, Superseded, Too
 from service.processes.kernel_cache import ESTIMATES, ready_mark
 
 _PICTURES = "service.server.api.intake.picture_child"
-_TRIES = 2  # a child that dies is no proof against a picture
+_TRIES = 2  # a dead child does not prove that the picture is bad
 
 
 class PictureChecker:
@@ -39,9 +39,9 @@ class PictureChecker:
         self._numbers = count()
 
     def check(self, path: Path, name: str, max_pixels: int) -> PictureFacts:
-        """Decode the picture whole. PictureError, which calls it by `name`, where it cannot be used.
+        """Decode the whole picture. PictureError, with the picture's `name`, if it is not usable.
 
-        FailedError where no picture can be checked: the checker is closed, or its process cannot be started.
+        FailedError if no picture can be checked: the checker is closed, or its process cannot be started.
         """
         try:
             return PictureFacts(**self._ask({"path": str(path), "name": name, "max_pixels": max_pixels}))
@@ -117,7 +117,7 @@ _REFUSALS = {
 class Estimator(KeptChild):
     """A kept child whose refusals are problems of the API.
 
-    what : it makes, a key of _REFUSALS
+    what : the kind of its results, a key of _REFUSALS
     """
 
     def __init__(self, *, idle_s: float = 60.0, module: str = _ESTIMATES, what: str = "estimate") -> None:
@@ -133,7 +133,7 @@ class Estimator(KeptChild):
         self._what = what
 
     def prepare(self) -> None:
-        """Compile what estimates need, where it was not yet, so that the first person need not wait for it."""
+        """Compile the kernels of estimates if they are not compiled yet, so that the first person need not wait."""
         if not ready_mark(ESTIMATES).exists():
             with suppress(Problem):  # as good as busy with it
                 self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS}, is_long=True)

@@ -1,8 +1,8 @@
 """The process that estimates jobs.
 
 Request: {"path", "name", "max_pixels", "spec", "figures", "exactly", "plans"}. Result: the estimate. Request
-{"prepare": true, "max_pixels"}: an estimate that nobody reads, which compiles whatever is not compiled yet; the mark of
-`kernel_cache` says for good that it was made.
+{"prepare": true, "max_pixels"}: an estimate that no one reads, which compiles what is not compiled yet; the mark of
+`kernel_cache` records permanently that it was made.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _estimate(asked: dict[str, Any], _: Callable[[float], None]) -> dict[str, An
 
 
 def _prepare(limits: PictureLimits) -> dict[str, Any]:
-    """Estimate a small job of a picture that goes from black to white: it calls each kernel that a large one does."""
+    """Estimate a small job with a picture from black to white: it calls every kernel that a large one calls."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "wedge.png"
         Image.linear_gradient("L").save(path)

@@ -1,9 +1,9 @@
-"""A form as it comes over the wire: its picture goes straight to a file, nothing is held but small parts.
+"""Receives a form piece by piece: its picture goes straight to a file; only small parts are kept in memory.
 
-Every limit counts while the bytes arrive, so what is too large is refused before it has filled anything. The file
-lives in `uploads` in the data folder, locked while its request lasts: whatever nobody holds a lock on was left by a
-server that was killed, and the next one removes it. The space on its disk is asked for before the form is taken, while
-its picture comes, and for the programs that the job would make.
+Every limit applies while the bytes arrive, so a form that is too large is refused before it has filled disk or memory.
+The file lives in `uploads` in the data folder, locked while its request lasts: a file without a lock was left by a
+server that was killed, and the next one removes it. Free space on the disk is checked before the form is accepted,
+while its picture arrives, and for the programs that the job would make.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*(utf-8|iso-8859-1)'[^';]*'([
 
 @dataclass(slots=True, kw_only=True)
 class JobForm:
-    """What a request held. `path` is the picture; texts holds the small parts, of a job `spec` and `priority`."""
+    """The contents of a request. `path` is the picture; texts has the small parts, for a job `spec` and `priority`."""
 
     path: Path
     image_name: str = ""
@@ -67,11 +67,11 @@ class JobForm:
 async def receive_form(
     request: Request, settings: ServerSettings, *, picture: str = "image", small: Mapping[str, int] = _SMALL
 ) -> AsyncIterator[JobForm]:
-    """Receive the whole form; its file is removed at the end. Problem for what is no such form, too large, or too much,
-    and where the disk has no space for it.
+    """Receive the whole form; its file is removed at the end. Problem if it is not such a form, is too large or has too
+    many parts, or if the disk has no space for it.
 
     picture : name of the part that holds the picture
-    small   : names of the other parts that are taken, and how many bytes each may have
+    small   : names of the other parts that are accepted, with the most bytes of each
     """
     body, space, most = RequestBody(request), Space(settings), settings.max_upload_bytes
     await asyncio.to_thread(space.require)
@@ -100,7 +100,7 @@ async def _read(request: Request, body: RequestBody, reader: _Reader) -> JobForm
 
 
 def sweep_uploads(folder: Path) -> None:
-    """Remove what killed servers left; an upload that is under way keeps its lock."""
+    """Remove the files that killed servers left; an upload under way keeps its lock."""
     for path in folder.glob("*.upload"):
         with contextlib.suppress(OSError), path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -108,7 +108,7 @@ def sweep_uploads(folder: Path) -> None:
 
 
 class _Reader:
-    """The parser's callbacks: which part this is, and where its bytes go."""
+    """The parser's callbacks: they identify each part and store its bytes."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class _Reader:
         }
 
     def finish(self) -> JobForm:
-        """Return the form, if it is whole."""
+        """Return the form if it is complete."""
         self._file.flush()
         if not self._ended:
             raise Problem(400, Phrase("the body ends in the middle of the form"), field="body")
@@ -213,7 +213,7 @@ class _Reader:
 
 def _boundary(request: Request) -> bytes:
     header = request.headers.get("content-type", "")
-    if len(header) > _CONTENT_TYPE_CHARS:  # the parser's time grows with its square
+    if len(header) > _CONTENT_TYPE_CHARS:  # the parser takes quadratic time
         words = Phrase("the Content-Type is longer than {most} characters", most=_CONTENT_TYPE_CHARS)
         raise Problem(400, words, field="Content-Type")
     kind, options = _options(header.encode("latin-1"))
@@ -226,7 +226,7 @@ def _boundary(request: Request) -> bytes:
 
 
 def _options(header: bytes) -> tuple[bytes, dict[bytes, bytes]]:
-    """Return a header's value and its parameters; nothing where it makes no sense."""
+    """Return a header's value and its parameters; empty if it is malformed."""
     try:
         kind, options = parse_options_header(header)
     except (ValueError, LookupError, TypeError):
@@ -265,8 +265,8 @@ def _create_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
 
 
 def harmless_name(given: bytes | str, *, default: str) -> str:
-    """Return the last part of a path in any system's spelling, printable, at most 100 characters; `default` for
-    nothing.
+    """Return the last part of a path of any operating system, printable, at most 100 characters; `default` if it is
+    empty.
     """
     text = given if isinstance(given, str) else given.decode("utf-8", "replace")
     text = unicodedata.normalize("NFC", text.replace("\\", "/").rpartition("/")[2])
@@ -286,7 +286,7 @@ def too_little_space(free_mb: float, needed_mb: int) -> Phrase:
 
 
 class Space:
-    """The disk of the data folder."""
+    """Free space on the disk of the data folder."""
 
     def __init__(self, settings: ServerSettings) -> None:
         self._folder = settings.data
@@ -294,15 +294,13 @@ class Space:
         self._makes_programs = settings.embedded and settings.store_url is None
 
     def require(self) -> None:
-        """Raise Problem 507 where less is free than the settings want to stay free."""
+        """Raise Problem 507 if less space is free than the settings require."""
         free_mb = self._free_mb()
         if free_mb < self._floor_mb:
             raise Problem(507, too_little_space(free_mb, self._floor_mb), headers=_RETRY)
 
     def require_for_programs(self, spec: dict[str, Any]) -> None:
-        """Raise Problem 507 for a job whose programs this disk cannot hold; of other computers' disks nothing is
-        known.
-        """
+        """Raise Problem 507 for a job whose programs this disk cannot hold; other computers' disks are not known."""
         if not self._makes_programs:
             return
         wanted_mb, free_mb = job_bytes(JobSpec.model_validate(spec)) / 1e6, self._free_mb()
@@ -330,7 +328,9 @@ class RequestBody:
         self._more = True
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """Yield the body; Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
+        """Yield the body; Problem 408 if the client stops sending or sends too slowly; ClientDisconnect if it
+        disconnects.
+        """
         began, taken = time.monotonic(), 0
         while self._more:
             try:
@@ -351,7 +351,9 @@ class RequestBody:
             yield piece
 
     async def linger(self) -> None:
-        """Read a little of what a refused client still sends: if closed at once, it could lose the answer."""
+        """Read a little of what a refused client still sends: if the connection closed at once, the client could lose
+        the answer.
+        """
         if "expect" in self._request.headers:
             return
         taken = 0

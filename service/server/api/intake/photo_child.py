@@ -1,4 +1,4 @@
-"""The process that looks at photographs: of walls, and of test pieces, which it makes.
+"""The process that evaluates photographs: of walls, and of test pieces, which it also makes.
 
 Request: {"path", "name", "max_pixels"} of a photograph, and {"job": folder with a job's files} or {"machine",
 "pieces": folder of test pieces}; without a photograph the test piece is only made.

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-# Named one by one: a look for "all formats" would import and trust dozens of them.
+# Named one by one: opening "all formats" would import and trust dozens of them.
 from PIL import (  # noqa: F401
     BmpImagePlugin,
     GifImagePlugin,

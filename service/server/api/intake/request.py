@@ -1,4 +1,4 @@
-"""From the form of a new job to what it asks for: the resolved spec, the priority, the hash of the whole request."""
+"""Parses the form of a new job: the resolved spec, the priority, the hash of the whole request."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ _MOST_VALUES = 20_000  # a measured light has 128 x 128, all the rest of a spec 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobRequest:
-    """What a caller asks for, with the figures behind the names in it; sha256 stands for all that the caller gave but
-    the picture's file name."""
+    """A caller's request, with the figures for its names; sha256 covers everything that the caller sent except the
+    picture's file name.
+    """
 
     spec: dict[str, Any]
     figures: str
@@ -34,7 +35,7 @@ class JobRequest:
 
 
 def job_request(form: JobForm) -> JobRequest:
-    """Parse a request; SpecError or Problem for what cannot be used."""
+    """Parse a request; SpecError or Problem for unusable values."""
     job = _resolve(bytes(form.texts.get("spec", b"")))
     spec = job.spec.model_dump(mode="json")
     priority = _priority(form.texts.get("priority"))
@@ -69,9 +70,9 @@ def _resolve(text: bytes) -> ResolvedJob:
 
 
 def _parse(text: bytes) -> dict[str, Any]:
-    """Parse the JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
+    """Parse a JSON object. Valid JSON that no one intends is refused: duplicate keys, NaN, deep nesting.
 
-    The values are counted before they are parsed: what each of them costs from here on is paid by this process.
+    The values are counted before they are parsed, because this process pays for each of them from here on.
     """
     if text.count(b",") + text.count(b":") > _MOST_VALUES:
         raise _unusable(Phrase("the part 'spec' holds more than {most} values", most=_MOST_VALUES))

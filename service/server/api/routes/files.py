@@ -171,13 +171,13 @@ FileName = Annotated[str, Path(max_length=100, description="name of an artifact"
 Number = Annotated[int, Path(ge=1, le=999, description="number of the pass, from 1", examples=[1])]
 
 
-def _get_and_head(path: str, **told: Any) -> Any:
+def _get_and_head(path: str, **options: Any) -> Any:
     """Register a route for GET, which the document shows, and HEAD, as RFC 9110 wants it."""
 
     def register(function: Any) -> Any:
         name = function.__name__
-        router.get(path, operation_id=name, **told)(function)
-        head = told | {"summary": f"{told['summary']} (headers only)"}
+        router.get(path, operation_id=name, **options)(function)
+        head = options | {"summary": f"{options['summary']} (headers only)"}
         router.head(path, operation_id=f"{name}_head", **head)(function)
         return function
 

@@ -76,7 +76,7 @@ async def cancel(request: Request, response: Response, principal: Writer, job_id
     def change() -> JobView:
         job = services.book.request_cancel(str(job_id), principal.name)
         if job.state is JobState.CANCELLED:
-            _tell_engine(services, job)
+            _cancel_in_engine(services, job)
         return read_view(services, job)
 
     return _with_address(response, await asyncio.to_thread(change))
@@ -112,7 +112,7 @@ async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
     services = services_of(request)
 
     def change() -> None:
-        _tell_engine(services, services.book.delete(str(job_id)))
+        _cancel_in_engine(services, services.book.delete(str(job_id)))
 
     await asyncio.to_thread(change)
     services.feed.drop_job(str(job_id))
@@ -132,11 +132,13 @@ def _read_page(services: Services, states: list[JobState], limit: int, before: s
     return JobList(jobs=read_summaries(services, page), next=address)
 
 
-def _tell_engine(services: Services, job: Job) -> None:
-    """Tell the engine not to start the job any more; a worker that starts it all the same sees that in the book."""
+def _cancel_in_engine(services: Services, job: Job) -> None:
+    """Remove the job's ticket from the engine. A worker that starts it all the same sees the cancellation in the job
+    book.
+    """
     try:
         services.engine.cancel(Ticket(job.id, job.attempt))
-    except Exception as error:  # whatever the engine's database does: the book has it
+    except Exception as error:  # the engine's database may fail in any way: the job book has the cancellation
         _log.warning("engine was not told", job=job.id, error=str(error)[:200])
 
 

@@ -162,7 +162,7 @@ def _pair(request: Request, body: PairingBody) -> PairingView:
     """Pair in a thread: digests are slow, and a terminal may be, too."""
     services = services_of(request)
     address = address_of(request.scope, behind_proxy=services.settings.behind_proxy)
-    # Whoever is at this computer is not slowed down by a crowd elsewhere.
+    # Callers on this computer are not slowed down by a crowd elsewhere.
     counts_for_all = not is_this_computer(address)
     try:
         token, secret = services.pairings.pair(body.code, body.name, address=address, counts_for_all=counts_for_all)

@@ -126,7 +126,7 @@ def hand_to_engine(services: Services, job: Job) -> None:
     """
     try:
         services.engine.submit(Ticket(job.id, job.attempt), priority=job.priority)
-    except Exception as error:  # whatever the engine's database does: the job is durable already
+    except Exception as error:  # the engine's database may fail in any way: the job is durable already
         _log.warning("engine did not take the job yet", job=job.id, error=str(error)[:200])
 
 

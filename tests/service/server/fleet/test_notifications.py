@@ -111,7 +111,7 @@ def test_what_a_way_takes_within_its_tries_arrives_once_and_in_order_whatever_an
         delivery = Delivery({"one": send, "other": lambda one: other.append(one.at)}, again_s=(0.0,) * (tries - 1))
         running = asyncio.create_task(delivery.run())
         for number in range(len(faults)):
-            await delivery.tell(notification(number))
+            await delivery.enqueue(notification(number))
         expected = [number for number, refused in enumerate(faults) if refused < tries]
         tried = [min(refused + 1, tries) for refused in faults]
         while len(other) < len(faults) or sum(faults) - sum(left.values()) < sum(tried):
