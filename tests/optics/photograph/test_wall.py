@@ -148,7 +148,7 @@ def test_each_ray_goes_on_to_where_a_leaning_wall_stands(bench: Bench) -> None:
     rays = WallRays(lens, bench, (PIXELS, PIXELS), 0)
     upright, farther, leaning = np.zeros((3, SETTINGS))
     farther[0], leaning[1], leaning[2] = 1.0, np.radians(20.0), np.radians(-10.0)
-    before, after, hits = (np.stack(rays._hits(setting)) for setting in (upright, farther, leaning))
+    before, after, hits = (np.stack(rays._trace_hits(setting)) for setting in (upright, farther, leaning))
     x_mm, y_mm = (hits - PIXELS / 2) * SIDE_MM / PIXELS
     away_mm = np.tan(leaning[1]) * x_mm + np.tan(leaning[2]) * y_mm
     assert np.abs(away_mm).max() > 5.0
