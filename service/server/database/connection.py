@@ -20,7 +20,7 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,14 +77,8 @@ def use_wal(connection: sqlite3.Connection) -> None:
     SQLite does not resolve two simultaneous changes of the mode: each holds the lock that the other needs, and one
     fails.
     """
-    give_up = time.monotonic() + BUSY_TIMEOUT_S
-    while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > give_up:
-                raise
-            time.sleep(LOCK_POLL_S)
+    if connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        _ask_until_unlocked(lambda: connection.execute("PRAGMA journal_mode = WAL"))
 
 
 def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:
@@ -155,19 +149,23 @@ def _begin_sqlite(connection: sa.Connection) -> None:
 
 def _take_write_lock(connection: sa.Connection) -> None:
     """Ask for the lock every 2 ms: SQLite's own wait backs off to 100 ms, and others overtake it all the time."""
-    give_up = time.monotonic() + BUSY_TIMEOUT_S
     connection.exec_driver_sql("PRAGMA busy_timeout = 0")
     try:
-        while True:
-            try:
-                connection.exec_driver_sql("BEGIN IMMEDIATE")
-                return
-            except sa.exc.OperationalError as error:
-                if "locked" not in str(error.orig) or time.monotonic() > give_up:
-                    raise
-            time.sleep(LOCK_POLL_S)
+        _ask_until_unlocked(lambda: connection.exec_driver_sql("BEGIN IMMEDIATE"))
     finally:
         connection.exec_driver_sql(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_S * 1000}")
+
+
+def _ask_until_unlocked(ask: Callable[[], object]) -> None:
+    give_up = time.monotonic() + BUSY_TIMEOUT_S
+    while True:
+        try:
+            ask()
+            return
+        except (sqlite3.OperationalError, sa.exc.OperationalError) as error:
+            if "locked" not in str(error) or time.monotonic() > give_up:
+                raise
+        time.sleep(LOCK_POLL_S)
 
 
 HEAD = "0006"  # the last of the migrations; a test compares
