@@ -220,20 +220,26 @@ def _swept(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> lis
     """Draw the area that the cutter's flanks sweep, if a ring is left around it."""
     if block.swept_mm is None or block.ring_mm <= 0:
         return []
-    left, right, front, back = block.swept_mm
-    box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
-    size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
-    return [f'<rect {box} {size} fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"/>']
+    style = 'fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"'
+    return [_rectangle(block.swept_mm, zero_x, zero_y, scale, style)]
 
 
 def _witness(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
     """Draw the strip of witness marks, over the hatching of where clamps may stand."""
     if block.witness_mm is None:
         return []
-    left, right, front, back = block.witness_mm
+    style = f'fill="#ffffff" stroke="{_ACCENT}" stroke-dasharray="1.5 2"'
+    return [_rectangle(block.witness_mm, zero_x, zero_y, scale, style)]
+
+
+def _rectangle(
+    sides_mm: tuple[float, float, float, float], zero_x: float, zero_y: float, scale: float, style: str
+) -> str:
+    """Return a rectangle; sides_mm: left, right, front, back."""
+    left, right, front, back = sides_mm
     box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
     size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
-    return [f'<rect {box} {size} fill="#ffffff" stroke="{_ACCENT}" stroke-dasharray="1.5 2"/>']
+    return f"<rect {box} {size} {style}/>"
 
 
 def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:

@@ -36,7 +36,7 @@ def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list
     machine, stock = table(spec.get("machine")), table(spec.get("stock"))
     around = table(report.get("around"))
     return [
-        *_of_facing(table(stock.get("face"))),
+        *_describe_facing(table(stock.get("face"))),
         *_of_begin(machine),
         *_of_every_program(machine),
         *_of_cut_out(table(stock.get("cut_out")), stock, table(around.get("cut-out"))),
@@ -55,7 +55,7 @@ def explain_zero_before_facing(spec: Mapping[str, Any]) -> Phrase | None:
     )
 
 
-def _of_facing(face: Mapping[str, Any]) -> Iterator[Phrase]:
+def _describe_facing(face: Mapping[str, Any]) -> Iterator[Phrase]:
     if face:
         shape = str(face.get("tool", "flat"))
         yield Phrase(
