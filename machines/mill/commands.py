@@ -25,6 +25,7 @@ from machines.driver import (
     Reset,
     SendBlock,
     SetZero,
+    Travel,
     Triple,
     TrustPosition,
     Unlock,
@@ -119,6 +120,8 @@ class Commands:
             order.require()
             order.extend()
         driver.command(command, order.require)
+        if isinstance(command, Travel):
+            order.note_begun()
         self._last = (command, order.caller)
         if isinstance(command, Jog):
             self._jog_from_mm = stood_mm
@@ -177,6 +180,8 @@ def _describe_question(command: Command) -> Phrase:
     match command:
         case Jog():
             return Phrase("Jog {way}", way=_way(command.by_mm))
+        case Travel():
+            return command.name
         case ProbeZ():
             return Phrase(
                 "Probe Z down by at most {depth_mm:g} mm, plate {plate_mm:g} mm",

@@ -34,6 +34,7 @@ from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
 from service.milling.terminal.confirm import (
+    FRAME_QUESTIONS,
     RECOVER_QUESTIONS,
     START_QUESTIONS,
     ask_person,
@@ -55,6 +56,7 @@ from service.milling.terminal.leaving import (
 from service.milling.terminal.ready import (
     CONNECT_S,
     find_interrupted_run,
+    frame_job,
     make_unconnected_error,
     prepare_mill,
     prepare_plan,
@@ -92,6 +94,7 @@ class StreamOrder:
     confirmed: bool = False
     recover: bool = False
     position_confirmed: bool = False
+    frame: bool = False
     dry_run: bool = False
 
     @property
@@ -152,6 +155,8 @@ def _require_answers(order: StreamOrder) -> None:
     """Refuse before anything is done if a question must be asked but cannot be."""
     if order.recover and order.dry_run:
         raise InputError("--recover and --dry-run exclude each other; allowed: one of them")
+    if order.frame and (order.recover or order.dry_run):
+        raise InputError("--frame belongs to a program that starts from its top, without --recover or --dry-run")
     if order.position_confirmed and not order.recover:
         raise InputError("--confirm-position belongs to --recover")
     try:
@@ -247,10 +252,16 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
 
 
 def _prepare_new_run(
-    thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
+    thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Park a run, and return the function that starts it after the person has confirmed that all is in order."""
+    """Park a run, go around its outline if that is wanted, and return the function that starts it after the person has
+    confirmed that all is in order.
+    """
     run: RunReport = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
+    if order.frame:
+        if not order.confirmed:
+            ask_person(FRAME_QUESTIONS)
+        frame_job(thread, buffers, run)
     setup = None if order.confirmed else thread.snapshot.setup
     confirmation = _confirm(order)
     return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
