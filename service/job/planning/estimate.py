@@ -48,7 +48,7 @@ from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, d
 from service.job.planning.finished_light import blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
-from service.job.planning.lenses import compute_passes, design_for_finishes, form_of, simplify
+from service.job.planning.lenses import FinishDesigns, compute_passes, form_of, simplify
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
@@ -370,7 +370,7 @@ def _predict_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Predi
         Marks(spec=finish, slopes=slopes),
         aims=any(quick.spec.optics.foreseen_blur_mm),
         by_hand=finish_of(quick.spec),
-        design=design_for_finishes(target if exactly else quick.aim, quick.settings),
+        design=FinishDesigns(target if exactly else quick.aim, quick.settings),
         fine=exactly,
     )
 

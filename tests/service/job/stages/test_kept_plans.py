@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from optics import design
 from optics.heightfield import Array
 from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
@@ -16,7 +17,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import ResolvedJob, look_up
+from service.job.spec.resolve import ResolvedJob, look_up, with_plan
 from service.job.stages import kept_plans
 from service.job.stages.kept_plans import KeptPlans
 from service.job.stages.run import run_order
@@ -73,6 +74,26 @@ def test_an_exact_estimate_and_the_job_after_it_plan_once(tmp_path: Path, planne
     assert len(planned) == 1
     assert plan_stage(job, None) == found
     assert len(planned) == 2
+
+
+def test_the_lens_of_a_plan_is_the_one_that_the_job_would_make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So its descent is done once, also if the plan was kept for an estimate; another lens has its own."""
+    job = job_with_target(tmp_path, small("finish.process=sanding", "image.pixels=32"))
+    for _ in range(2):  # made, then found
+        result = run_order(job.order("passes"), job.store, lambda share: None, plans=tmp_path / "plans")
+    job.take("passes", result)
+    job.spec = with_plan(job.spec, job.report)
+    job.run("map")
+    taken, plan = job.bytes(".heights.npz"), job.outputs.pop(".polished.npz")
+    job.run("map")
+    assert job.bytes(".heights.npz") == taken
+    report, job.outputs[".polished.npz"] = job.results["map"].report["optics"], plan
+    monkeypatch.setattr(design, "polish_lens", lambda lens, *_, **__: (lens, report["polish"]))
+    job.run("map")
+    assert job.bytes(".heights.npz") == taken and job.results["map"].report["optics"] == report
+    job.spec = job.spec.model_copy(update={"optics": job.spec.optics.model_copy(update={"throw_mm": 31.0})})
+    with pytest.raises(TypeError):  # asks the fake for a record
+        job.run("map")
 
 
 @pytest.mark.thorough
