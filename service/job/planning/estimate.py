@@ -161,6 +161,7 @@ def estimate(
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,
+        "seen_db": None if seen is None else seen.seen_db,
         "wall": None if seen is None else _draw_wall(seen, spec.optics.viewed_from),
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,

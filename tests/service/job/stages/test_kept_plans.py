@@ -111,7 +111,7 @@ def fake_plans(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def describe(_: object, *, viewed_from: str) -> kept_plans.MadePlan:
         made.append(viewed_from)
-        seen = kept_plans.PredictedPicture(light=TARGET, target=TARGET, psnr_db=30.0, detail_mm=1.0)
+        seen = kept_plans.PredictedPicture(light=TARGET, target=TARGET, psnr_db=30.0, seen_db=20.0, detail_mm=1.0)
         return kept_plans.MadePlan(figures={"n": len(made)}, notes=[], draw=lambda: b"png", see=lambda: seen)
 
     monkeypatch.setattr(kept_plans, "plan_for_picture", lambda job, target, on_progress=None: None)
