@@ -22,9 +22,10 @@ import sqlalchemy as sa
 import structlog
 from PIL import Image
 
-from service.server.database.connection import begin_writing, connect, upgrade_schema
+from service.server.database.connection import begin_writing, connect
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobState
+from service.server.database.schema import upgrade_schema
 from service.server.database.tables import executors
 from service.server.database.tokens import TokenBook
 from service.server.queue.dbos import DbosEngine
