@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from cam.checking.check import PassCheck, check_program
+from cam.duration import Kinematics
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.planning.shop import pitches_mm
 from cam.posts.dialects import GRBL
@@ -29,7 +30,6 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield
 from service.job.files import read_chunks
-from service.job.spec.lens_task import kinematics_of
 from service.job.spec.tools import load_tools
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
@@ -77,7 +77,7 @@ def judge(chunks: Iterable[bytes], lens: Heightfield, spec: PassSpec, cell_mm: f
         spec=spec,
         stock=block_of(lens),
         stock_top=skin_over(lens, cell_mm),
-        kinematics=kinematics_of(machine),
+        kinematics=Kinematics.of(machine),
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
     )

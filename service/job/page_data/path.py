@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from cam.duration import Kinematics
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
-from service.job.files import atomic_file
+from service.job.files import atomic_file, make_header_line
 from service.job.page_data.points import HIDDEN, PAUSE, RAPID, Chords, MovePoints, Points, Thinner, no_box, widen
-from service.job.page_data.surface import header_line
 
 MOST_POINTS = 60_000
 """Of the coarsest level."""
@@ -160,7 +159,7 @@ def make_header(facts: Mapping[str, Any], levels: list[Level]) -> bytes:
     """Make the header. Its offsets depend on its length, which depends on their digits, so it takes a few rounds."""
     length = 0
     while True:
-        line = header_line({**facts, "levels": list(_rows(levels, length))})
+        line = make_header_line({**facts, "levels": list(_rows(levels, length))})
         if len(line) == length:
             return line
         length = len(line)

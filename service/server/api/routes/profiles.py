@@ -38,7 +38,9 @@ router = APIRouter()
 OwnName = Annotated[
     str,
     Path(
-        pattern=r"^[^\x00-\x1f\x7f/\\. ][^\x00-\x1f\x7f/\\]{0,39}$",
+        min_length=1,
+        max_length=40,
+        pattern=r"^[^\x00-\x1f\x7f/\\. ][^\x00-\x1f\x7f/\\]*$",
         description="of the profile",
         examples=["shop-mill"],
     ),
@@ -141,16 +143,13 @@ def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
     return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})
 
 
-_TOOL_NAME = r"^[^\x00-\x1f\x7f]{1,40}$"
-
-
 class ToolView(Body):
     """An end mill; lengths in mm. Balls finish, what is flat roughs.
 
     Of two that do equally well a plan takes that of the lower cost_class.
     """
 
-    name: Annotated[str, Field(pattern=_TOOL_NAME, examples=["ball-r1"])]
+    name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]*$", examples=["ball-r1"])]
     radius_mm: Annotated[float, Field(ge=0.05, le=25)]
     flutes: Annotated[int, Field(ge=1, le=8)] = 2
     flute_length_mm: Annotated[float, Field(ge=0.1, le=200, description="how high it cuts, from its tip")]
