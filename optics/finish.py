@@ -110,18 +110,6 @@ def level(heights_mm: Array, multipliers: Array) -> Array:
     return transform_back(transform(heights_mm) * multipliers, heights_mm.shape)
 
 
-def finish_surface(
-    lens: Heightfield,
-    finish: Finish,
-    *,
-    departure_mm: Array | None = None,
-    finer: int = 1,
-    beyond_cells: int = 0,
-) -> Heightfield:
-    """Return the lens of `finish_lens`."""
-    return finish_lens(lens, finish, departure_mm=departure_mm, finer=finer, beyond_cells=beyond_cells).lens
-
-
 def finish_lens(
     lens: Heightfield,
     finish: Finish,
@@ -159,7 +147,7 @@ def finish_lens(
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
     """Return the surface of a perfectly milled lens in the light: after its finish, if there is one."""
-    return lens if finish is None else finish_surface(lens, finish)
+    return lens if finish is None else finish_lens(lens, finish).lens
 
 
 def quick_margin(count: int, least: int) -> int:

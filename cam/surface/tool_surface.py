@@ -41,7 +41,6 @@ class ToolSurface:
     allowance_mm: float
     lowest_mm: float
     highest_mm: float
-    guarded_share: float
     kernel: Ball
 
     @classmethod
@@ -103,7 +102,6 @@ class ToolSurface:
             allowance_mm=allowance_mm,
             lowest_mm=float(heights[np.ix_(*tips)].min()) + allowance_mm,
             highest_mm=float(heights.max()) + allowance_mm,
-            guarded_share=float(guarded.mean()),
             kernel=kernel,
         )
 

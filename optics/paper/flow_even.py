@@ -174,7 +174,7 @@ class _Run:
             if again:
                 state, since = state.regrid(pair.lens.points_mm.reshape(*shape, 2)), 0
                 pair = state.pair()
-            self._record(state, pair, across, dt, largest_dt, solution.iterations, again)
+            self._record(state, pair, across, dt, largest_dt, again)
 
     def message(self) -> Phrase:
         return Phrase(
@@ -193,20 +193,16 @@ class _Run:
         across: Neighbours,
         dt: float,
         largest_dt: float,
-        iterations: int,
         remeshed: bool,
     ) -> None:
         faces = pair.screen.dual_areas()
         difference = excess_on_faces(pair, across, self._wanted, self._size_mm) / faces
-        lens_areas = pair.lens.areas()
         step = FlowStep(
             step=len(self.steps) + 1,
             dt=dt,
             largest_dt=min(largest_dt, 1e9),
             rms_percent=100.0 * rms_over(difference, faces),
             max_percent=100.0 * float(np.abs(difference).max()),
-            thinnest=float(lens_areas.min() / lens_areas.mean()),
-            solver_iterations=iterations,
             remeshed=remeshed,
         )
         self.steps.append(step)

@@ -115,7 +115,7 @@ def _path_figures(verdict: PassCheck) -> Iterator[Figure]:
     path = verdict.contour
     assert path is not None
     gap = path.gap
-    where = f"at X{gap.x_mm:.3f} Y{gap.y_mm:.3f}; {gap.bare_share:.1e} of the area beyond half a pitch; asked: 1.02"
+    where = f"at X{gap.x_mm:.3f} Y{gap.y_mm:.3f}; asked: 1.02"
     nominal_s = verdict.path_length_mm / FEED_MM_PER_S
     yield Figure(
         "  entries, lifts, rapids inside", path.entries, "", f"{path.entries - 1}, {path.rapids_inside}; asked: 1, 0, 0"
