@@ -13,7 +13,7 @@ for programs that were made after it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from phrases.phrase import phrases_in
+from service.job.files import is_program, program_order
 from service.server.database.connection import insert_new, is_sqlite, put_rows
 from service.server.database.records import (
     Artifact,
@@ -208,6 +209,11 @@ def list_offered_programs(connection: sa.Connection, job_ids: Collection[str]) -
         if _is_program(one := Artifact.of(row)):
             found[one.job_id].append(one)
     return found
+
+
+def sort_programs(files: Iterable[Artifact]) -> list[Artifact]:
+    """Return the programs among a job's files, in the order in which they are run: that of their pass and part."""
+    return sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
 
 
 def may_be_milled(connection: sa.Connection, job: Job) -> bool:

@@ -13,8 +13,9 @@ from machines.runs import RECOVER_CHECKS, START_CHECKS
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.http.schema import phrase_views
-from service.job.files import is_program, list_programs, program_order
+from service.job.files import list_programs, program_order
 from service.milling.api import Check
+from service.server.database.job_rows import sort_programs
 from service.server.database.records import ABORTED, INTERRUPTED, PARKED, Artifact, Job
 from service.server.database.runs import RunRow
 from service.server.fleet.agent_replies import Json, make_mill_view, parse_holder, phrases_of, table
@@ -46,7 +47,7 @@ class Program:
 
 def programs_of(files: Sequence[Artifact]) -> list[Program]:
     """Return the programs among a job's files, in the order in which they are run."""
-    found = sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
+    found = sort_programs(files)
     passes = [program_order(file.name)[0] for file in found]
     return [
         Program(
