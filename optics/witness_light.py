@@ -91,7 +91,7 @@ def strip_heights_mm(strip: Strip) -> tuple[Array, Array]:
 def finish_strip(heights_mm: Array, finish: Finish, dose: float) -> Array:
     """Return heights (n,) after that share of the planned dose, uniform across; the strip is flat at its ends."""
     k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * CELL_MM)
-    return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * finish.after(dose).kept(k), type=1))
+    return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * finish.after(dose).compute_kept(k), type=1))
 
 
 def fringes_of(strip: Strip, u_mm: Array, heights_mm: Array, lever_mm: float) -> Array:

@@ -109,7 +109,7 @@ def _plain_flow(
         velocity = project_to_frame(mesh.vertex_gradients(solution.values, weights), (ny, nx))
         largest_dt = mesh.largest_step(velocity)
         dt = min(0.5 * largest_dt, 1.0)
-        mesh = mesh.moved(mesh.points_mm + dt * velocity)
+        mesh = mesh.move_to(mesh.points_mm + dt * velocity)
         if dt >= STUCK_DT or not any(step.dt < STUCK_DT for step in steps):
             lens, lens_step = mesh, len(steps) + 1
         difference = mesh.dual_areas() / faces - wanted

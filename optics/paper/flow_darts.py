@@ -55,7 +55,7 @@ def flow_with_darts(
             pair, velocity, removed, inserted = made.pair, made.velocity_mm, made.removed, made.inserted
         largest_dt = pair.lens.largest_step(velocity)
         dt = min(0.5 * largest_dt, 1.0)
-        pair = MeshPair(screen=pair.screen, lens=pair.lens.moved(pair.lens.points_mm + dt * velocity))
+        pair = MeshPair(screen=pair.screen, lens=pair.lens.move_to(pair.lens.points_mm + dt * velocity))
         faces = pair.screen.dual_areas()
         excess = excess_on_faces(pair, neighbours_of(pair.triangles), wanted, size_mm)
         difference = excess / faces

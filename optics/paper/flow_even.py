@@ -69,7 +69,7 @@ class _Even:
 
     def pair(self) -> MeshPair:
         lens = TriangleMesh.build_regular(self.x_mm, self.y_mm)
-        return MeshPair(screen=lens.moved(self.screen_mm.reshape(-1, 2)), lens=lens)
+        return MeshPair(screen=lens.move_to(self.screen_mm.reshape(-1, 2)), lens=lens)
 
     def regrid(self, moved_mm: Array) -> _Even:
         """Return the even grid again after its vertices have moved to moved_mm (my, mx, 2) on the lens."""
@@ -168,7 +168,7 @@ class _Run:
             velocity = project_to_frame(pair.lens.vertex_gradients(solution.values, pair.lens.areas()), shape)
             largest_dt = pair.lens.largest_step(velocity)
             dt = min(0.5 * largest_dt, 1.0)
-            pair = MeshPair(screen=pair.screen, lens=pair.lens.moved(pair.lens.points_mm + dt * velocity))
+            pair = MeshPair(screen=pair.screen, lens=pair.lens.move_to(pair.lens.points_mm + dt * velocity))
             since += 1
             again = dt < _SHORT_STEP or since == _MOST_BETWEEN or self.settled
             if again:

@@ -152,7 +152,7 @@ def _registration(
     """Return the fit in the prediction's own pixels, units and frame."""
     ny, nx = picture.shape
     whole = View.of(picture, max(ny, nx), dark_surround=False)
-    light, clipped, inside = whole.seen(photograph, fit.homography)
+    light, clipped, inside = whole.sample(photograph, fit.homography)
     finer = max(picture.shape) / max(view.picture[view.inner].shape)
     spread = (fit.spread_px2 - photograph.sampling_blur_px2(fit.homography, view.step)) * finer**2
     fitted = blur(picture, replace(fit, spread_px2=spread))

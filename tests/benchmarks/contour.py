@@ -54,7 +54,7 @@ def block_of(lens: Heightfield) -> Stock:
 def skin_over(lens: Heightfield, cell_mm: float) -> StockGrid:
     """What the pass before has left."""
     block = StockGrid.block(block_of(lens), cell_mm)
-    top = lens.spline().extended(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
+    top = lens.spline().extend(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
     return replace(block, top_mm=np.minimum(top, 0.0))
 
 

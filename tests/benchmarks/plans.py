@@ -83,7 +83,7 @@ def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: Machi
     tracks = _tracks(lens, finish)
     if mill.whole_steps:
         tracks = _on_whole_steps(tracks, mill, finish)
-    tracks = tracks.made_by(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
+    tracks = tracks.run_on_mill(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
     surface = MilledSurface.of_tracks(
         [tracks],
         lens,

@@ -142,7 +142,7 @@ def test_smoothing_ends_at_a_limit_that_grows_with_the_pressure(times: float, le
     finish = replace(FELT, k0_rad_per_mm=0.5, pad_mm=24.0)
     k = 2 * np.pi / 3.0
     first = 4 / 7  # of three steps
-    bound_mm = first * finish.depth_mm / (1.0 - float(finish.kept(k)) ** first)
+    bound_mm = first * finish.depth_mm / (1.0 - float(finish.compute_kept(k)) ** first)
     lens = Heightfield(
         x_mm=axis, y_mm=axis, z_mm=np.tile(times * bound_mm * (np.cos(k * axis) - 1.0), (axis.size, 1)), rim_mm=50.0
     )

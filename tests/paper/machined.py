@@ -62,7 +62,7 @@ def block_of(lens: Heightfield) -> Stock:
 
 def skin_over(lens: Heightfield) -> StockGrid:
     block = StockGrid.block(block_of(lens), 0.25)
-    top = lens.spline().extended(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
+    top = lens.spline().extend(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
     return replace(block, top_mm=np.minimum(top, 0.0))
 
 

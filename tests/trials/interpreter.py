@@ -76,7 +76,7 @@ def _passes(dialect: str) -> Iterator[tuple[PassSpec, list[bytes]]]:
     stock = Stock(width_mm=SIDE_MM, height_mm=SIDE_MM, thickness_mm=20.0, margin_mm=4.0)
     top = StockGrid.block(stock, 0.1)
     rough, semi, finish = PAPER_PASSES
-    skin = lens.spline().extended(4.0).heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.05
+    skin = lens.spline().extend(4.0).heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.05
     skinned = replace(top, top_mm=np.minimum(skin, top.top_mm))
     finish, raised = replace(finish, pitch_mm=0.05), ProgramSetup(top_z_mm=SAFE_Z_MM)
     for spec, left, limits in (

@@ -101,7 +101,7 @@ class PathDrawing:
         self._full.finish()
         points = Points.none()
         for level, chords in zip(self._levels, self._chords, strict=True):
-            points = Points.joined([chords.add(points), chords.rest()])
+            points = Points.join([chords.add(points), chords.rest()])
             level.add(points)
             level.finish()
 
@@ -197,12 +197,12 @@ class Level:
         self._held.append(points)
         self._held_points += len(points)
         if self._held_points >= CHUNK_POINTS:
-            self._write_chunks(Points.joined(self._held), least=CHUNK_POINTS)
+            self._write_chunks(Points.join(self._held), least=CHUNK_POINTS)
 
     def finish(self) -> None:
         """Write the remaining points; no more will come."""
         if self._held:
-            self._write_chunks(Points.joined(self._held), least=1)
+            self._write_chunks(Points.join(self._held), least=1)
         self._held = []
 
     @property

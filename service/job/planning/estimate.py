@@ -26,7 +26,7 @@ from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.posts.dialects import POSTS
-from cam.surface.tool_surface import left_by_flat
+from cam.surface.tool_surface import compute_left_by_flat
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
@@ -264,7 +264,7 @@ def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...], known_s: tuple
     mill, digits = Kinematics.of(machine), digits_of(machine)
     stock_mm: Array | None = None
     for spec in specs:
-        made_mm = _left_by(quick.lens, spec)
+        made_mm = _compute_heights_left(quick.lens, spec)
         if stock_mm is not None:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm, made_rows=FEW_ROWS if known_s else ROWS)
         elif known_s:
@@ -300,12 +300,12 @@ def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array, *, made_ro
     return own_s + layers_where_s(form, spec, depth_mm, mill)
 
 
-def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
+def _compute_heights_left(lens: Heightfield, spec: PassSpec) -> Array:
     """Return the heights (ny, nx) that a pass leaves: the lens as its ball reaches it, its cusps and its stock to
     leave.
     """
     if not spec.is_ball:
-        return left_by_flat(lens, spec)
+        return compute_left_by_flat(lens, spec)
     spline_z = lens.z_mm
     filled = close_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))

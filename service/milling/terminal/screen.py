@@ -283,7 +283,7 @@ def recover_command(program: Path, port: str | None, machine: str) -> str:
     return shlex.join([*words, "--recover"])
 
 
-def left_words(status: MillStatus) -> str:
+def describe_mill_left(status: MillStatus) -> str:
     """Return in which state the mill is left."""
     if status.state is MillState.DISCONNECTED:
         return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"

@@ -142,7 +142,7 @@ class Surroundings:
     programs: Sequence[Program] = ()
     finished: frozenset[str] = frozenset()
 
-    def left_out(self, number: int) -> list[Program]:
+    def list_left_out(self, number: int) -> list[Program]:
         """Return earlier passes that this mill has not finished."""
         return [one for one in self.programs if one.number < number and one.sha256 not in self.finished]
 
@@ -153,7 +153,7 @@ class Surroundings:
 def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
     """Return the checks that a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
-        needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
+        needed = START_CHECKS | ({ORDER} if around.list_left_out(run.number) else frozenset())
     elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and has_started(run):
         needed = RECOVER_CHECKS
     else:
@@ -175,7 +175,7 @@ def make_run_view(run: RunRow, around: Surroundings) -> RunView:
         program=ProgramOfRun(number=run.number, name=run.program, sha256=run.sha256),
         setup=setup,
         required_checks=list_required_checks(run, around),
-        left_out=[ProgramOfRun.model_validate(one) for one in around.left_out(run.number)],
+        left_out=[ProgramOfRun.model_validate(one) for one in around.list_left_out(run.number)],
         next=None if following is None else ProgramOfRun.model_validate(following),
         created_by=run.created_by,
         created_at=run.created_at,

@@ -17,7 +17,7 @@ def test_cells_are_the_mean_of_the_lowest_ball(path: str) -> None:
     """64 places of each cell by brute force; four by lot differ from them by what a groove spreads."""
     over, radius, pitch = lens(tilt=(0.3, -0.2), bend=(0.25, -0.1)), 0.5, 0.05
     tracks = row_tracks(over, radius_mm=radius, pitch_mm=pitch) if path == "rows" else crossed(over, radius, pitch)
-    tracks = tracks.made_by(step_mm=0.002, noise=Noise(sigma_mm=5e-4))
+    tracks = tracks.run_on_mill(step_mm=0.002, noise=Noise(sigma_mm=5e-4))
     found = map_departure([tracks], over, pitch_mm=pitch, error_mm=1e-3, finer=1)
     near, spline = near_the_window(tracks, 0.6), over.spline()
     offset = (np.arange(8) + 0.5) / 8 - 0.5

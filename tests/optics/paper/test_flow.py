@@ -22,7 +22,7 @@ def soft_picture(ny: int = 40, nx: int = 40, contrast: float = 0.7):
 
 
 def mesh_of(flow, lens_mm) -> TriangleMesh:
-    return TriangleMesh.build_regular(flow.x_mm, flow.y_mm).moved(lens_mm.reshape(-1, 2))
+    return TriangleMesh.build_regular(flow.x_mm, flow.y_mm).move_to(lens_mm.reshape(-1, 2))
 
 
 def test_a_uniform_picture_needs_no_step():

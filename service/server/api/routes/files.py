@@ -294,7 +294,7 @@ class _Outlet:
 
     def flush(self) -> None: ...
 
-    def taken(self) -> bytes:
+    def take(self) -> bytes:
         held, self._held = b"".join(self._held), []
         return held
 
@@ -306,8 +306,8 @@ def _write_zip(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
             with archive.open(zip_entry(file.name), "w", force_zip64=True) as target:
                 for piece in store.open_range(file.sha256):
                     target.write(piece)
-                    yield outlet.taken()
-    yield outlet.taken()
+                    yield outlet.take()
+    yield outlet.take()
 
 
 def _archive_etag(files: Sequence[Artifact]) -> str:

@@ -130,14 +130,14 @@ def mills_by_profile(
     found: dict[str, list[KnownMachine]] = {}
     names = {profile.name for profile in profiles}
     for mill in mills:
-        alike = (one.name for one in profiles if mill.profile is not None and _made_alike(one, mill.profile))
+        alike = (one.name for one in profiles if mill.profile is not None and _are_made_alike(one, mill.profile))
         name = mill.name if mill.name in names else next(alike, None)
         if name is not None:
             found.setdefault(name, []).append(mill)
     return found
 
 
-def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
+def _are_made_alike(one: MachineProfile, other: MachineProfile) -> bool:
     """Return whether programs for one are programs for the other: all but name, link and homing."""
     ours, theirs = asdict(one), asdict(other)
     return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})
