@@ -151,7 +151,7 @@ class _Preconditioner:
         self.symbol = np.sqrt(per_pixel_x * per_pixel_y / square)
         self.nodes = weigh_nodes((ny, nx))
         dark = float((target < 0.1).mean())
-        irradiance = error.tubes[0].seen_from_vertices(error.misses[0] + target)
+        irradiance = error.tubes[0].sample_at_vertices(error.misses[0] + target)
         self.weight = 1.0 / (irradiance**2 + _LEAST_LIGHT + 0.8 * min(1.0, 2 * dark))
 
     def __call__(self, gradient: Array) -> Array:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from math import ceil, inf
 
+from cam.duration import Kinematics
 from cam.materials import MATERIALS
 from cam.planning.pass_time import LensForm
 from cam.planning.planner import (
@@ -39,8 +40,8 @@ from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom, measure_rim_room
 from service.job.spec.finish import BEST
-from service.job.spec.lens_task import bench_of, branch_of, digits_of, kinematics_of, lens_settings, require_contrast
-from service.job.spec.resolve import ResolvedJob, most_removal_mm3_per_min
+from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
+from service.job.spec.resolve import ResolvedJob, digits_of, most_removal_mm3_per_min
 from service.wording import duration
 
 Progress = Callable[[float], None]
@@ -116,7 +117,7 @@ def shop_of(job: ResolvedJob) -> Shop:
     return Shop(
         tools=job.figures.tools,
         material=MATERIALS[job.spec.stock.material],
-        mill=kinematics_of(machine),
+        mill=Kinematics.of(machine),
         spindle_rpm=machine.spindle_rpm,
         step_mm=max(machine.step_mm, digit_mm),
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,

@@ -102,7 +102,7 @@ def read_tracks(
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
         one = one.divide(chord_mm) if math.isfinite(chord_mm) else one
-        tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise, screws=screws))
+        tracks.append(one.run_on_mill(step_mm=machine.step_mm, noise=noise, screws=screws))
         on_progress(0.8 * done / len(passes))
     return tracks
 
