@@ -15,6 +15,7 @@ from PIL import Image
 
 from optics.caustic import simulate_caustic
 from optics.finish import surface_in_light
+from optics.irradiance import flip_between_picture_and_work_frame
 from service.job.arrays import load_heightfield
 from service.job.picture.linear_light import linear_to_srgb
 from service.job.spec.lens_task import bench_of, finish_of
@@ -22,7 +23,7 @@ from service.job.spec.loading import load_stored_spec
 
 SIDE, FRAMES, QUALITY = 416, 26, 36
 NEAREST = 0.25  # of the throw: where the wall stands first
-WHITE = 2.6  # irradiance that is drawn white, where 1 is the mean
+WHITE = 3.0  # irradiance that is drawn white, where 1 is the mean
 MS, LAST_MS = 85, 3_600_000  # AVIF begins again at its end
 
 
@@ -33,8 +34,9 @@ def main(job: Path, folder: Path) -> None:
     for step in np.linspace(0.0, 1.0, FRAMES):
         share = 1.0 - (1.0 - NEAREST) * (1.0 - step) ** 2
         wall = replace(bench, throw_mm=share * bench.throw_mm)
-        light = simulate_caustic(lens, wall, pixels=(SIDE, SIDE), tubes_per_cell=2).irradiance[::-1]
-        seen = linear_to_srgb(np.clip(light / WHITE, 0.0, 1.0))
+        light = simulate_caustic(lens, wall, pixels=(SIDE, SIDE), tubes_per_cell=2).irradiance
+        shown = flip_between_picture_and_work_frame(light, spec.optics.viewed_from)
+        seen = linear_to_srgb(np.clip(shown / WHITE, 0.0, 1.0))
         frames.append(Image.fromarray(np.rint(255 * seen).astype(np.uint8)))
     times = [MS] * (FRAMES - 1) + [LAST_MS]
     frames[0].save(

@@ -16,6 +16,11 @@ export function isHard(psnrDb) {
   return psnrDb < EYE.at(-2)[0];
 }
 
+/** Whether a person sees differences from the picture only beside it. */
+export function isFine(psnrDb) {
+  return psnrDb >= EYE[2][0];
+}
+
 /** The word for the visual quality of a PSNR. */
 export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
