@@ -54,7 +54,14 @@ def shown(opened: Opened, job: dict[str, Any], files: list[dict[str, Any]], **ho
     answer(page, job, files)
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
     expect(page.get_by_role("heading", level=1, name=job["name"].removesuffix(".png"), exact=True)).to_be_visible()
+    unfold(page)
     return page
+
+
+def unfold(page: Page) -> None:
+    """Open every part of a job's page."""
+    expect(page.locator(".folded")).not_to_have_count(0)
+    page.evaluate("for (const one of document.querySelectorAll('.folded > details')) one.open = true")
 
 
 def with_plan(job: dict[str, Any], number: int, chosen: int = 2) -> dict[str, Any]:

@@ -46,9 +46,10 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
     expect(card).to_contain_text("10 min")  # a quarter of 100 cm2
     expect(card).to_contain_text(likeness_in_words(SEEN["seen_db"]))
     expect(card.locator(".notice")).to_have_count(0)
-    facts = page.locator(".job-facts")
+    facts = page.locator(".expect-part")
     expect(facts).to_contain_text("On the wall, as finished")
     expect(facts).to_contain_text("details under 1.1 mm will blur")
+    page.locator("#pictures-title").scroll_into_view_if_needed()
     expect(page.get_by_role("slider", name="Wipe between Target and As finished")).to_be_visible()
     expect(page.get_by_role("img", name="The picture as given, and prepared")).to_be_visible()
     facts.get_by_text("Figures for experts").click()
@@ -58,12 +59,12 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
 
 def test_the_tool_that_the_rims_want_is_said(opened: Opened) -> None:
     page = finished(opened, 45, how={"process": "felt"}, rims="On the outermost 4.0 mm work with a smaller tool.")
-    expect(page.locator(".finishing")).to_contain_text("On the outermost 4.0 mm work with a smaller tool.")
+    expect(page.locator(".finishing-part")).to_contain_text("On the outermost 4.0 mm work with a smaller tool.")
 
 
 def test_what_speaks_against_a_finish_is_said(opened: Opened) -> None:
     page = finished(opened, 42, seen={**SEEN, "psnr_db": 3.0}, how={"process": "sanding", "minutes": 0.5})
-    notices = page.locator(".finishing .notice")
+    notices = page.locator(".finishing-part .notice")
     expect(notices).to_have_count(2)
     expect(notices.first).to_contain_text("makes the picture worse")
     expect(notices.last).to_contain_text("is outside the known range")
@@ -72,7 +73,7 @@ def test_what_speaks_against_a_finish_is_said(opened: Opened) -> None:
 def test_a_job_without_a_finish_has_no_card(opened: Opened) -> None:
     page = finished(opened, 43, how={"process": "none"})
     expect(page.get_by_role("heading", name="Programs")).to_be_visible()
-    expect(page.locator(".finishing")).to_be_hidden()
+    expect(page.locator(".finishing-part")).to_be_hidden()
 
 
 @pytest.mark.thorough

@@ -16,6 +16,11 @@ export function isHard(seenDb) {
   return seenDb < EYE.at(-2)[0];
 }
 
+/** Whether a person sees differences from the picture only beside it. */
+export function isFine(seenDb) {
+  return seenDb >= EYE[2][0];
+}
+
 /** The word for a likeness. */
 export function eyeWords(seenDb) {
   return EYE.find(([least]) => seenDb >= least)?.[1] ?? t("not known");

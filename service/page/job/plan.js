@@ -4,6 +4,7 @@ import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm, passName, sentence } from "../lib/words.js";
 import { eyeWords } from "./eye_words.js";
+import { fold } from "./fold.js";
 import { detailOfPlan, passWords } from "./figures.js";
 
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
@@ -17,9 +18,8 @@ export function planPart() {
   const why = h("details", {}, h("summary", {}, t("Why this plan was made")), h("div", { class: "plan-why" }));
   const words = t("Each point is a way to mill this lens: more hours, sharper picture. Take one to see what it means.");
   const intro = h("p", { class: "dim" }, words);
-  const title = h("h2", { id: "plan-title" }, t("Hours against sharpness"));
   const body = h("div", { class: "plan-body" }, chart, chosen);
-  const node = h("section", { class: "card", "aria-labelledby": "plan-title", hidden: true }, title, intro, body, why);
+  const node = fold("plan", t("Hours against sharpness"), intro, body, why);
   let shown = "", taken = 0, job = null, plan = null, rows = [];
 
   function update(next) {
