@@ -45,12 +45,13 @@ from service.job.picture.light_png import picture_png
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, describe_light, predict_picture
-from service.job.planning.finished_light import blur_of
+from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, describe_light
+from service.job.planning.finished_light import FinishedLight, blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import FinishDesigns, compute_passes, form_of, simplify
 from service.job.planning.planner import plan_for_picture
+from service.job.planning.predicted_light import PictureLight
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
 from service.job.spec.cutting import MIN_FLOOR_MM
@@ -362,17 +363,16 @@ def _predict_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Predi
         return None
     if quick.see is not None:
         return quick.see()
-    return predict_picture(
-        target,
-        quick.bench,
-        quick.form,
-        quick.missed,
-        Marks(spec=finish, slopes=slopes),
-        aims=any(quick.spec.optics.foreseen_blur_mm),
-        by_hand=finish_of(quick.spec),
-        design=FinishDesigns(target if exactly else quick.aim, quick.settings),
-        fine=exactly,
-    )
+    marks, by_hand = Marks(spec=finish, slopes=slopes), finish_of(quick.spec)
+    light = PictureLight(target, quick.bench, aims=any(quick.spec.optics.foreseen_blur_mm))
+    light.add(marks.radius_mm, quick.form, quick.missed)
+    if by_hand is None:
+        return describe_light(light, marks)
+    finished, design = FinishedLight(light, by_hand), FinishDesigns(target if exactly else quick.aim, quick.settings)
+    finished.calibrate(marks, design, fine=exactly)
+    if not exactly:
+        finished.look_at(marks, design)
+    return describe_light(finished, marks)
 
 
 def _draw_wall(seen: PredictedPicture, viewed_from: Literal["lens", "behind"]) -> str:
