@@ -64,7 +64,7 @@ _Mm = Annotated[float, _within(JOG_MM)]
 
 class ControlBody(Body):
     operator: Person
-    take_over: Annotated[bool, Field(strict=True, description="from the one who has it; they are told")] = False
+    take_over: Annotated[bool, Field(strict=True, description="from the person who has it, who is notified")] = False
 
 
 class GrantBody(Body):

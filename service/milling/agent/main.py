@@ -168,13 +168,13 @@ async def _stand_still(access: MillAccess, again: asyncio.Event) -> None:
     if not _moves(access):
         return
     print("stopping: feed hold", file=sys.stderr, flush=True)
-    await access.halt(Stop.HOLD, Caller(name="the agent, told to stop"))
+    await access.halt(Stop.HOLD, Caller(name="the agent, at its end"))
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(_STANDSTILL_S):
             while _moves(access) and not again.is_set():
                 await asyncio.sleep(0.02)
     if _moves(access):
-        words = "the mill was told to hold and has not said that it stands: LOOK AT IT, use its own stop button"
+        words = "the mill was sent a hold and has not reported that it stands: LOOK AT IT, use its own stop button"
     else:
         words = "the mill stands in feed hold; its spindle may turn still"
     print(f"{words}. The run can be recovered after a new start of this agent", file=sys.stderr, flush=True)

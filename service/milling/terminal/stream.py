@@ -326,7 +326,7 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
             raise StoppedError("left held on request", *left)
         case Ended.ABANDONED:
             raise StoppedError(
-                "THE MILL MAY STILL MOVE: it was told to hold and has not said that it stands. Use its own stop button",
+                "THE MILL MAY STILL MOVE: it was sent a hold and has not reported its stop. Use its own stop button",
                 *left,
             )
     cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail

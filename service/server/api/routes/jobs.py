@@ -139,7 +139,7 @@ def _cancel_in_engine(services: Services, job: Job) -> None:
     try:
         services.engine.cancel(Ticket(job.id, job.attempt))
     except Exception as error:  # the engine's database may fail in any way: the job book has the cancellation
-        _log.warning("engine was not told", job=job.id, error=str(error)[:200])
+        _log.warning("the engine has not been notified", job=job.id, error=str(error)[:200])
 
 
 def _with_address(response: Response, job: JobView) -> JobView:

@@ -73,7 +73,7 @@ async def delete_profile(request: Request, _: Operator, profile: OwnName) -> Pro
 
 @router.get("/v1/jobs/{id:uuid}/request", tags=["jobs"], summary="What a job was asked for with")
 async def get_request(request: Request, _: Reader, job_id: JobId) -> RequestView:
-    """To be changed and posted as a new job: the spec is as short as it can be, and resolves to that of the job."""
+    """A request to change and post as a new job: its spec is as short as possible and resolves to the job's own."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
     spec = await asyncio.to_thread(reduce_spec, job.spec)
     return RequestView(name=job.name, spec=spec, image=f"/v1/jobs/{job.id}/image")
@@ -87,7 +87,7 @@ async def get_request(request: Request, _: Reader, job_id: JobId) -> RequestView
     responses=byte_answers("picture", ["application/octet-stream"]),
 )
 async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Response:
-    """The very bytes that were uploaded. They are a stranger's: no browser shows them as a page of ours."""
+    """The bytes as they were uploaded, with headers that keep a browser from showing them as a page of this server."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
     file = Artifact(
         job_id=job.id,
@@ -173,7 +173,7 @@ class ToolList(ToolsBody):
 
 @router.get("/v1/tools", tags=["machines"], summary="List the end mills that plans choose among")
 async def get_tools(_: Reader) -> ToolList:
-    """Those of the file tools.toml of whoever runs the server; without one, the usual ones."""
+    """Those of the file tools.toml in the configuration of the server's account; without that file, the usual ones."""
     return await asyncio.to_thread(_read_tools)
 
 
