@@ -16,6 +16,7 @@ surface, and correcting it costs 0.1 dB.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections import deque
@@ -103,6 +104,15 @@ class PolishRecord:
     psnr_db_after: float
     change_um_rms: float
     seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Polished:
+    """Heights (ny, nx) of a lens after its descent; task: `digest_task` of what it was made from."""
+
+    z_mm: Array
+    record: PolishRecord
+    task: bytes
 
 
 @dataclass(slots=True)
@@ -228,6 +238,20 @@ def polish_lens(
         change_um_rms=1e3 * float(np.std(done.z_mm - lens.z_mm)),
         seconds=time.perf_counter() - started,
     )
+
+
+def digest_task(
+    lens: Heightfield, target: Array, bench: Bench, *, steps: int, ball_mm: float, finish: Finish | None
+) -> bytes:
+    """Return a digest of all that the result of `polish_lens` depends on."""
+    arrays = [lens.x_mm, lens.y_mm, lens.z_mm, target]
+    if bench.outline_mm is not None:
+        arrays.append(bench.outline_mm)
+    numbers = (lens.rim_mm, replace(bench, outline_mm=None), steps, ball_mm, finish, [array.shape for array in arrays])
+    digest = hashlib.sha256(repr(numbers).encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.digest()
 
 
 def _error_of(lens: Heightfield, target: Array, bench: Bench, outcomes: list[Outcome], per_pixel: int) -> MeanError:

@@ -37,6 +37,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
+from machines.mill.mill import Mill
 from machines.runs import RunState
 from phrases.phrase import Phrase
 from service.http.problems import Problem
@@ -199,6 +200,11 @@ class OrderBody(Body):
         """Return it as the mill takes it. Problem 422 if its values do not go together."""
         raise NotImplementedError
 
+    def make_act(self) -> Callable[[Mill], None]:
+        """Return what the mill's thread carries out. Problem 422 as `command`."""
+        command = self.command()
+        return lambda mill: mill.command(command)
+
 
 class JogBody(OrderBody):
     by_mm: Annotated[list[_Mm], Field(min_length=3, max_length=3, examples=[[1.0, 0.0, 0.0]])]
@@ -207,6 +213,26 @@ class JogBody(OrderBody):
     def command(self) -> Command:
         x_mm, y_mm, z_mm = self.by_mm
         return Jog(by_mm=(x_mm, y_mm, z_mm), feed_mm_per_min=self.feed_mm_per_min)
+
+
+class ZeroWayBody(OrderBody):
+    axes: Annotated[
+        Literal["XY", "XYZ"], Field(description="XY: over it, at a safe height; XYZ: then down to Z0, spindle off")
+    ] = "XY"
+    feed_mm_per_min: Annotated[float, _within(JOG_FEED)] = 1000.0
+
+    def make_act(self) -> Callable[[Mill], None]:
+        return lambda mill: mill.go_to_zero(self.axes, self.feed_mm_per_min)
+
+
+class FrameBody(OrderBody):
+    program: Annotated[
+        str, Field(max_length=100, description="`sha256` of the program that waits, as the person saw it")
+    ]
+    feed_mm_per_min: Annotated[float, _within(JOG_FEED)] = 1000.0
+
+    def make_act(self) -> Callable[[Mill], None]:
+        return lambda mill: mill.frame(self.program, self.feed_mm_per_min)
 
 
 class ProbeBody(OrderBody):
@@ -305,6 +331,8 @@ class BlockBody(OrderBody):
 
 ORDERS: dict[str, type[OrderBody]] = {
     "jog": JogBody,
+    "go-to-zero": ZeroWayBody,
+    "frame": FrameBody,
     "probe": ProbeBody,
     "probe-corner": ProbeCornerBody,
     "zero": ZeroBody,

@@ -49,7 +49,7 @@ from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, d
 from service.job.planning.finished_light import blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
-from service.job.planning.lenses import compute_passes, design_for_finishes, form_of, simplify
+from service.job.planning.lenses import FinishDesigns, compute_passes, form_of, simplify
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
@@ -160,6 +160,7 @@ def estimate(
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,
+        "seen_db": None if seen is None else seen.seen_db,
         "wall": None if seen is None else _draw_wall(seen, spec.optics.viewed_from),
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
@@ -369,7 +370,7 @@ def _predict_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Predi
         Marks(spec=finish, slopes=slopes),
         aims=any(quick.spec.optics.foreseen_blur_mm),
         by_hand=finish_of(quick.spec),
-        design=design_for_finishes(target if exactly else quick.aim, quick.settings),
+        design=FinishDesigns(target if exactly else quick.aim, quick.settings),
         fine=exactly,
     )
 

@@ -9,7 +9,7 @@ from cam.planning.planner import Marks
 from optics.bench import Bench
 from optics.finish import Finish
 from optics.heightfield import Array
-from optics.metrics import psnr_db, smallest_detail_mm
+from optics.metrics import psnr_db, seen_db, smallest_detail_mm
 from service.job.planning.finished_light import Design, FinishedLight
 from service.job.planning.predicted_light import PictureLight
 
@@ -26,6 +26,7 @@ class PredictedPicture:
     light: Array
     target: Array
     psnr_db: float
+    seen_db: float
     detail_mm: float
 
 
@@ -64,5 +65,6 @@ def describe_light(light: PictureLight, marks: Marks) -> PredictedPicture:
         light=seen,
         target=light.target,
         psnr_db=psnr_db(seen, light.target),
+        seen_db=seen_db(seen, light.target),
         detail_mm=smallest_detail_mm(seen, light.target, light.pixel_mm[1]),
     )

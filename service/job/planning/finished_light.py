@@ -187,18 +187,16 @@ class FinishedLight(PictureLight):
         waves[:ny, :nx] = waves_of(seen.light)[:ny, :nx]
         self._lit[marks.radius_mm] = np.maximum(picture_of_waves(waves), 0.0)
 
-    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
+    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False) -> None:
         """Correct both guesses by a lens that is designed, milled in rows, finished and lit; keep the light of a fine
         one.
-
-        finer_lacks : error of a lens as fine as the picture over that of this one
         """
         seen = self._shine(marks, design, fine=fine)
         if fine:
             self._lit[marks.radius_mm] = seen.light
         target, self.contact_share = seen.target, seen.done.contact_share
         light = seen.light if target.shape == seen.light.shape else np.maximum(resize(seen.light, target.shape), 0.0)
-        off_free = finer_lacks * float(np.square(light - target).mean())
+        off_free = float(np.square(light - target).mean())
         finer = self.goal**2
         ny, nx = target.shape
         finer[:ny, :nx] = 0.0  # waves too fine for the coarse lens

@@ -35,7 +35,7 @@ from service.job.planning.finish_choice import (
     plan_finish,
 )
 from service.job.planning.finished_light import Design
-from service.job.planning.lenses import design_for_finishes, design_whole, predict_designs, predict_lens
+from service.job.planning.lenses import FinishDesigns, design_whole, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom, measure_rim_room
@@ -71,9 +71,10 @@ def plan_for_picture(
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    design = design_for_finishes(target, settings)
+    design = FinishDesigns(target, settings)
     own_lens = None if whole is not None else partial(design_whole, light, settings=settings, as_given=not shapes)
-    return _choose_plan(job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens)
+    planned = _choose_plan(job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens)
+    return replace(planned, polished=None if planned.finishing is None else design.polished)
 
 
 def plan_for_lens(

@@ -273,14 +273,14 @@ def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
         yield f"warning:    {warning}"
 
 
-def recover_command(program: Path, port: str | None, machine: str) -> str:
-    """Return the exact command that continues a run."""
+def stream_command(program: Path, port: str | None, machine: str, how: str) -> str:
+    """Return the exact command that continues or repeats a run: its last words are `how`."""
     words = ["causticmill", "stream", str(program)]
     if port is not None:
         words += ["--port", port]
     if machine != DEFAULT_MACHINE:
         words += ["--machine", machine]
-    return shlex.join([*words, "--recover"])
+    return f"{shlex.join(words)} {how}"
 
 
 def describe_mill_left(status: MillStatus) -> str:

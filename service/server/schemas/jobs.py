@@ -246,6 +246,7 @@ class EstimateView(Body):
     hours: float
     blur_mm: Annotated[float, Field(description="root mean square on the screen")]
     psnr_db: Annotated[float | None, Field(description="likeness of the milled picture; null: no pass finishes it")]
+    seen_db: Annotated[float | None, Field(description="the same as an eye sees it, -10 log10(1 - correlation)")]
     wall: Annotated[
         str | None,
         Field(

@@ -121,6 +121,16 @@ _WITH_BODY = {
         "Jog a mill",
         "THE MILL MOVES by so much. Send it once, as every order; the events say what became of it.",
     ),
+    "go-to-zero": (
+        "Go to the work zero",
+        "THE MILL MOVES up to a safe height and across to X0 Y0; with XYZ then down to Z0. Refused where the position\n"
+        "is not certain, a zero is not set, or a place on the way lies outside the travel.",
+    ),
+    "frame": (
+        "Go around the outline of the program that waits",
+        "THE MILL MOVES up, at least to the height at which the program travels, and around its outline there.\n"
+        "Refused as go-to-zero is.",
+    ),
     "probe": ("Probe Z", "THE MILL MOVES down until it touches; work Z is set there, and it moves up again."),
     "probe-corner": (
         "Probe a block's corner",
