@@ -85,7 +85,7 @@ class WayPlanner:
             return at_mm, zero_mm
         if not status.position_trusted:
             raise NotAllowedError(
-                Phrase("{name}: the position of the mill is not certain; home it, or set the zero anew", name=name)
+                Phrase("{name}: the position of the mill is not certain; home it, or set the zero again", name=name)
             )
         unknown = [axis for axis, mm in zip("XYZ", zero_mm, strict=True) if axis not in setup.zeroed and _is_none(mm)]
         if unknown:

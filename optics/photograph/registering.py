@@ -43,11 +43,10 @@ class Registration:
                           upper left corner, pixel centres at halves) -> pixels of the photograph, counted likewise
     rectified (ny, nx)  : the photograph in the prediction's place and units, work frame; NaN beyond the photograph
     usable (ny, nx)     : where that is light and neither clipped nor beyond the photograph
-    fitted (ny, nx)     : the prediction, blurred as the photograph is, work frame
     gain, offset, tone  : photograph = gain * irradiance^tone + offset
     blur_px             : standard deviation of the Gaussian, in pixels of the prediction, that the photograph is softer
                           by; negative: sharper
-    residual            : rms of rectified - fitted over usable pixels, over the prediction's standard deviation
+    residual            : rms of rectified less the prediction, blurred alike, over the prediction's standard deviation
     correlation         : of the photograph with what is fitted to it, inside the picture
     likeness            : geometric mean of that and of the correlation of the picture's details
     confidence          : 0 to 1: that this is a photograph of the prediction; below 0.5 the rest is not reliable
@@ -63,7 +62,6 @@ class Registration:
     homography: Array
     rectified: Array
     usable: Mask
-    fitted: Array
     gain: float
     offset: float
     tone: float
@@ -171,7 +169,6 @@ def _registration(
         homography=normalise_homography(fit.homography @ to_own),
         rectified=own(np.where(inside, rectified, np.nan) * scale),
         usable=own(usable.astype(np.float64)) > 0,
-        fitted=own(fitted * scale),
         gain=fit.gain / scale**fit.tone,
         offset=fit.offset,
         tone=fit.tone,

@@ -81,7 +81,6 @@ class WallFit:
     surface_um        : for each of ORDERS, height of the surface over the lens, as the Legendre polynomial's factor
     blur_mm           : standard deviation on the wall by which the photograph is softer than predicted; < 0: sharper
     predicted_blur_mm : standard deviation of the blur that makes the predicted picture softer than the design's light
-    fitted (ny, nx)   : the light that the fitted set-up makes on the wall, work frame, blurred as in the photograph
     correlation       : of the photograph with the fit, and `before` with the predicted set-up
     """
 
@@ -91,7 +90,6 @@ class WallFit:
     surface_um: tuple[Estimate, ...]
     blur_mm: float
     predicted_blur_mm: float
-    fitted: Array
     correlation: float
     before: float
 
@@ -370,7 +368,6 @@ class _WallFit:
         view, fit = scene.make_view(state), state.fit
         pixel_mm = self._bench.screen.width_mm / view.picture[view.inner].shape[1]
         predicted_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
-        fitted = blur(scene.light(state.setting), fit)[view.inner]
         return WallFit(
             throw_mm=found[0],
             wall_tilt_rad=(found[1], found[2]),
@@ -378,7 +375,6 @@ class _WallFit:
             surface_um=tuple(found[5:]),
             blur_mm=math.copysign(math.sqrt(abs(fit.spread_px2)) * pixel_mm, fit.spread_px2),
             predicted_blur_mm=predicted_px * pixel_mm,
-            fitted=flip_between_picture_and_work_frame(fitted, self._viewed_from),
             correlation=scene.correlation(state),
             before=before,
         )

@@ -184,7 +184,6 @@ class Level:
     def __init__(self, folder: Path, tolerance_mm: float) -> None:
         self.tolerance_mm = tolerance_mm
         self.points = 0
-        self.path_points = 0  # without those that are repeated
         self._file: BinaryIO = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - closed by close()
         self._rows: list[NDArray[np.void]] = []
         self._held: list[Points] = []
@@ -193,7 +192,6 @@ class Level:
     def add(self, points: Points) -> None:
         if not len(points):
             return
-        self.path_points += len(points)
         self._held.append(points)
         self._held_points += len(points)
         if self._held_points >= CHUNK_POINTS:

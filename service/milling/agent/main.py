@@ -46,6 +46,8 @@ _GOING = (RunState.RUNNING, RunState.RECOVERING, RunState.HOLDING, RunState.STOP
 _STANDSTILL_S = 10.0
 _DRAIN_S = 2
 _CONNECTIONS, _STRANGERS = 200, 100
+_EVENTS, _READERS = 1000, 32
+_MOST_PROGRAM_BYTES = 4 << 30
 _FILES = 1024
 CatchStop = Callable[[], AbstractContextManager[asyncio.Event]]
 
@@ -89,9 +91,9 @@ async def _serve(
     catch_stop: CatchStop,
 ) -> None:
     access = MillAccess(thread)
-    hub: Hub[Reader] = Hub(ring=settings.ring_events, readers=settings.subscribers)
+    hub: Hub[Reader] = Hub(ring=_EVENTS, readers=_READERS)
     audit = AuditLog(settings.folder / "orders")
-    store = ProgramStore(settings.folder / "programs", max_bytes=settings.max_program_bytes)
+    store = ProgramStore(settings.folder / "programs", max_bytes=_MOST_PROGRAM_BYTES)
     agent = Agent(
         settings=settings,
         profile=profile,
