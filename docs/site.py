@@ -31,6 +31,7 @@ NAV: dict[str, str] = {
     "Light, frame, shape": "light.md",
     "Run the mill": "mill.md",
     "The spindle in a hold": "spindle.md",
+    "Every key of a job": "keys.md",
     "The page": "page.md",
     "Server and farm": "server.md",
     "REST with curl": "rest.md",

@@ -29,6 +29,9 @@ LightOption = Annotated[
     Path | None,
     typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light on the aperture, rim to rim."),
 ]
+MachineOption = Annotated[
+    str | None, typer.Option("--machine", metavar="NAME", help="Machine profile; see `machines`.")
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="Allow a folder that holds other files.")]
 
 
@@ -44,6 +47,7 @@ def register(app: typer.Typer) -> None:
 def make(
     picture: PictureArgument,
     output: OutputOption,
+    machine: MachineOption = None,
     spec: SpecOption = None,
     preset: PresetOption = None,
     set_: SetOption = None,
@@ -58,12 +62,19 @@ def make(
     from service.server.worker import warmup
 
     with warmup.compile_beside(JOBS):
+        from service.cli.summary import target_line
         from service.job import pipeline
-        from service.job.spec.loading import default_layer, resolve_job
+        from service.job.spec.loading import default_layer, override_machine, resolve_job
         from service.progress import report_progress
 
-        said: dict[str, Any] = {"file": spec, "preset": preset, "overrides": set_ or ()}
+        said: dict[str, Any] = {
+            "file": spec,
+            "preset": preset,
+            "overrides": [*override_machine(machine), *(set_ or ())],
+        }
         resolved = resolve_job(**said, base=default_layer(**said), light_picture=light_picture)
+        if not quiet:
+            print(printable(target_line(resolved.spec)))
         with report_progress(quiet) as reporter:
             report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _print_summary(output, report, quiet)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cam.passes import PassSpec
 from cam.planning.planner import Candidate
+from service.cli.summary import target_line
 from service.errors import InputError, SpecError
 from service.job import arrays
 from service.job import files as job_files
@@ -20,7 +21,7 @@ from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
 from service.job.spec.lens_task import facts_of_light
-from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_job
+from service.job.spec.loading import default_layer, load_stored_spec, override_machine, read_spec_file, resolve_job
 from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolve import ResolvedJob
 from service.job.spec.tools import load_tools
@@ -45,7 +46,10 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     if request.output is not None and request.output.suffix.lower() != ".png":
         raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
     with translate_errors():
-        planned, job = _make_plan(request)
+        job, make = _prepare_plan(request)
+        if not as_json:
+            yield target_line(job.spec)
+        planned = make()
     spec = job.spec
     fragment = spec_fragment(planned, spec)
     written = []
@@ -86,23 +90,23 @@ def _suggest_changes(job: ResolvedJob, picture: Path) -> Iterator[str]:
         )
 
 
-def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
+def _prepare_plan(request: PlanRequest) -> tuple[ResolvedJob, Callable[[], Planned]]:
+    """Return the job, and what plans it."""
     if request.source.is_dir():
         base: dict[str, Any] = {**load_stored_spec(request.source).plain(), "preset": "recommended"}
         base.pop("passes", None)
         job = _resolve_plan_job(request, base)
         lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)
         target = arrays.load_target(request.source / job_files.MAP)
-        return plan_for_lens(job, lens, target), job
+        return job, lambda: plan_for_lens(job, lens, target)
     from service.job.picture.reading import read_picture
     from service.job.planning.preparation import aim_at_picture
 
-    job = _resolve_plan_job(request, {})
+    job = _resolve_plan_job(request, default_layer(file=request.spec, preset=None, overrides=request.overrides))
     spec = job.spec
     width_mm, height_mm = spec.optics.screen_size_mm
     picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)
-    target = aim_at_picture(spec, picture.linear).target
-    return plan_for_picture(job, target), job
+    return job, lambda: plan_for_picture(job, aim_at_picture(spec, picture.linear).target)
 
 
 def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
@@ -113,8 +117,7 @@ def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob
     if len(goal) > 1:
         raise SpecError([("plan", refuse_several_aims(goal))])
     overrides = [*request.overrides, *(f"plan.{key}={value!r}" for key, value in goal.items())]
-    if request.machine is not None:
-        overrides.append(f"machine.profile={json.dumps(request.machine)}")
+    overrides = [*override_machine(request.machine), *overrides]
     merged = {**base, **given, "preset": "recommended"}
     job = resolve_job(base=merged, overrides=overrides)
     if request.tools is None:

@@ -1,4 +1,4 @@
-"""The commands `plan` and `tools`: arguments and calls.
+"""The commands `plan`, `tools` and `keys`: arguments and calls.
 
 Everything is imported inside the commands, so that --help is fast.
 """
@@ -18,6 +18,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this module to the command line."""
     app.command()(plan)
     app.command("tools")(list_tools)
+    app.command("keys")(list_spec_keys)
 
 
 def plan(
@@ -68,4 +69,19 @@ def list_tools(
     from service.job.spec.tools import library_file, load_tools, table
 
     for line in table(load_tools(file), library_file(file)):
+        print(line)
+
+
+def list_spec_keys(
+    word: Annotated[str, typer.Argument(metavar="[WORD]", help="Only keys in which this occurs.")] = "",
+) -> None:
+    """List every key of a job with what it may be, its default and its meaning."""
+    from service.errors import InputError
+    from service.job.spec.keys import list_keys
+    from service.wording import align
+
+    rows = list_keys(word)
+    if not rows:
+        raise InputError(f"no key has anything to do with '{word}'; `causticmill keys` lists all")
+    for line in align([("KEY", "ALLOWED", "DEFAULT", "MEANING"), *rows]):
         print(line)

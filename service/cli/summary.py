@@ -6,8 +6,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from machines.profile import load_profile
 from service.job.files import REPORT_PAGE, programs_in_order
+from service.job.spec.finish import BEST, NONE
+from service.job.spec.model import JobSpec
 from service.wording import ball, duration
+
+
+def target_line(spec: JobSpec) -> str:
+    """Return for which mill and which finish a job is planned or made: the first line of make and plan."""
+    name = spec.machine.profile
+    process = {NONE: "as it comes from the mill", BEST: "finished by hand, by the best process for it"}
+    finish = process.get(spec.finish.process, f"finished by hand, by {spec.finish.process}")
+    if spec.finish.process == NONE and spec.finish.k0_rad_per_mm is not None:
+        finish = "finished by hand, by your own figures"
+    return f"for the mill {name} ({load_profile(name).description}), {finish}"
 
 
 def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:

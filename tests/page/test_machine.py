@@ -248,3 +248,28 @@ def test_the_camera_beside_the_mill_shows_what_is_there_now_or_nothing(opened: O
     assert len(asked) <= count + 1  # that was on its way
     told(page, "running")
     expect(page.locator(".camera")).to_be_hidden()
+
+
+TIMES = """async ({ passes, runs, now }) => {
+    const { findWholeJob, runTimeWords, wholeJobWords } = await import("/page/machine/whole_job.js");
+    return runs.map((run) => [runTimeWords(run, now, false), wholeJobWords(findWholeJob(passes, run))]);
+}"""
+
+
+def test_a_run_says_since_when_until_what_time_and_how_much_of_its_whole_job_is_cut(modules: Page) -> None:
+    passes = [{"file": f"pass-{n}.nc", "time_s": time_s} for n, time_s in ((1, 3600), (2, 7200), (3, 3600))]
+    now = "new Date(2026, 10, 29, 22, 30).getTime()"
+    run = {"state": "running", "share": 0.1, "time_s": 7200, "time_left_s": 3600, "left_out": []}
+    run |= {"program": {"name": "pass-2.nc"}, "started_at": "2026-11-21T08:00:00.000Z"}
+    late = run | {"time_left_s": 86400}
+    skipped = run | {"left_out": [{"name": "pass-1.nc"}], "time_left_s": None, "started_at": None}
+    done = run | {"state": "finished", "program": {"name": "pass-3.nc"}, "time_left_s": None}
+    other = run | {"program": {"name": "witness-marks.nc"}}
+    given = {"passes": passes, "runs": [run, late, skipped, done, other], "now": modules.evaluate(now)}
+    (here, late_, left_out, over, unknown) = modules.evaluate(TIMES, given)
+    assert re.fullmatch(r".+ since its start, ends about 23:30", here[0])
+    assert here[1] == "Program 2 of 3. The whole job: 50 % cut, 2 h of milling left"
+    assert re.search(r"ends about \w+.* 22:30", late_[0])
+    assert left_out == ["", "Program 2 of 3. The whole job: 5 % cut, 3 h 48 min of milling left"]
+    assert over[1] == "Program 3 of 3. The whole job: 100 % cut, 0 s of milling left"
+    assert unknown[1] == ""

@@ -18,6 +18,7 @@ from service.job.spec.section import RuleError, unit_of
 Place = tuple[int | str, ...]
 MOST_PROBLEMS = 50  # each costs a search for the nearest key, and nobody reads more
 _KEY_CHARS = 60
+_NO_TABLE = ("model_type", "model_attributes_type", "dict_type")
 
 
 def as_spec_error(error: ValidationError) -> SpecError:
@@ -59,13 +60,26 @@ def describe_allowed(place: Place) -> Phrase:
 
 def list_known_keys(place: Place) -> list[str]:
     """Return keys of the table at a place of the spec."""
-    return list((_schema_at(place) or {}).get("properties", {}))
+    return list(known_entries(place))
+
+
+def describe_table(place: Place) -> str:
+    """Return what the docstring of the table at a place says."""
+    return str((_schema_at(place) or {}).get("description", ""))
+
+
+def known_entries(place: Place) -> dict[str, dict[str, Any]]:
+    """Return the JSON schema of each key of the table at a place of the spec."""
+    return (_schema_at(place) or {}).get("properties", {})  # type: ignore[no-any-return]
 
 
 def _sentence(detail: ErrorDetails) -> Phrase:
     place, kind, value = detail["loc"], detail["type"], detail["input"]
     if kind == "extra_forbidden":
         return unknown_key(str(place[-1]), list_known_keys(place[:-1]))
+    if kind in _NO_TABLE and isinstance(value, str) and (main := _find_main_key(place)):
+        key = join_place((*place, main))
+        return Phrase("is a table; did you mean {key}={value}?", key=key, value=_show_value(value).strip("'"))
     if kind == "missing":
         return Phrase("is missing; allowed: {allowed}", allowed=describe_allowed(place))
     if isinstance(error := detail.get("ctx", {}).get("error"), RuleError):
@@ -75,6 +89,12 @@ def _sentence(detail: ErrorDetails) -> Phrase:
     return Phrase(
         "{value} is not allowed; allowed: {allowed}", value=_show_value(value), allowed=describe_allowed(place)
     )
+
+
+def _find_main_key(place: Place) -> str:
+    """Return the key of a table that a single word probably means: its first one, if that takes words."""
+    first, entry = next(iter(known_entries(place).items()), ("", {}))
+    return first if inner_schema(entry).get("type") == "string" or "enum" in inner_schema(entry) else ""
 
 
 def _show_value(value: Any) -> str:
@@ -95,21 +115,21 @@ def _schema_at(place: Place) -> dict[str, Any] | None:
     """Return the JSON schema of one key; None if the place does not exist."""
     here: dict[str, Any] = _spec_schema()
     for step in place:
-        here = _resolve_schema(here)
+        here = inner_schema(here)
         found = here.get("items") if isinstance(step, int) else here.get("properties", {}).get(step)
         if not isinstance(found, dict):
             return None
         here = found
-    return _resolve_schema(here)
+    return inner_schema(here)
 
 
-def _resolve_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
+def inner_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     """Follow $ref and 'X or null' to the schema of the value."""
     if "$ref" in schema:
-        return _resolve_schema(_spec_schema()["$defs"][schema["$ref"].rpartition("/")[2]])
+        return inner_schema(_spec_schema()["$defs"][schema["$ref"].rpartition("/")[2]])
     for choice in schema.get("anyOf", ()):
         if choice.get("type") != "null":
-            return _resolve_schema(choice)
+            return inner_schema(choice)
     return dict(schema)
 
 

@@ -45,7 +45,7 @@ class FinishSpec(Section):
 
     process: Annotated[
         str,
-        Field(pattern=r"^[a-z][a-z0-9-]{0,39}$"),
+        Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=40),
         shown(
             "Finished by hand",
             "An hour or two takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet.",

@@ -5,6 +5,7 @@ to the shortest that resolves to the same job.
 from __future__ import annotations
 
 import copy
+import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -70,6 +71,11 @@ def default_layer(*, file: Path | None, preset: str | None, overrides: Sequence[
     if file is not None or preset is not None or sections & {"preset", "passes"}:
         return {}
     return {"preset": "recommended", **({} if "finish" in sections else {"finish": {"process": BEST}})}
+
+
+def override_machine(name: str | None) -> list[str]:
+    """Return the override that --machine NAME stands for."""
+    return [] if name is None else [f"machine.profile={json.dumps(name)}"]
 
 
 def resolve_spec(**given: Any) -> JobSpec:

@@ -1,5 +1,6 @@
 /** The program that is on the mill: waiting for its start, under way, or over. */
 
+import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark, shape } from "../lib/state.js";
@@ -10,6 +11,7 @@ import { notifySwitch } from "./notify.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { RUN_STATES, describe } from "./sentences.js";
 import { isZeroKnown, isZeroSet } from "./place.js";
+import { findWholeJob, runTimeWords, wholeJobWords } from "./whole_job.js";
 import { leftWords, programWords, runStanding, whyNot } from "./words.js";
 
 export function runCard(link) {
@@ -85,7 +87,18 @@ function meter() {
   const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
   const line = h("span", {});
   const left = h("span", { class: "left-over" });
-  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, h("div", { class: "row spread" }, line, notifySwitch()));
+  const when = h("p", { class: "when" });
+  const whole = h("p", { class: "whole dim" });
+  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, when, h("div", { class: "row spread" }, line, notifySwitch()), whole);
+  let [job, passes] = ["", []];
+
+  async function learn(id) {
+    job = id;
+    passes = [];
+    const found = await api.get(`/v1/jobs/${id}`).catch(() => null); // without it there is still the run itself
+    if (job === id) passes = found?.report?.passes ?? [];
+  }
+
   return {
     node,
     update(run, simulated) {
@@ -93,7 +106,11 @@ function meter() {
       write(share, percent(run.share));
       bar.value = run.share;
       write(line, run.lines ? t`line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
-      write(left, ["finished", "aborted"].includes(run.state) ? "" : leftWords(run, simulated));
+      const isOver = ["finished", "aborted"].includes(run.state);
+      write(left, isOver ? "" : leftWords(run, simulated));
+      write(when, isOver ? "" : runTimeWords(run, Date.now(), simulated));
+      if (run.job !== job) learn(run.job);
+      write(whole, wholeJobWords(findWholeJob(passes, run)));
     },
   };
 }
