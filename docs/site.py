@@ -1,12 +1,14 @@
 """Writes the sources of the site into a folder, for `make docs`:  python -m docs.site FOLDER
 
-The guides of docs/ as they stand, the README as the first page, and references of commands and REST made from the code:
-the command line's own help, and the OpenAPI document that a test holds against the server.
+The guides of docs/ as they stand, the README as the first page, and references of commands, settings and REST made from
+the code: the command line's own help, the settings' docstring, and the OpenAPI document that a test holds against the
+server.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -18,6 +20,7 @@ from typer.cli import get_docs_for_click
 from typer.main import get_command
 
 from service.cli.app import app
+from service.settings import PREFIX, ServerSettings
 
 TOP = Path(__file__).parents[1]
 OPENAPI = TOP / "tests" / "service" / "server" / "api" / "openapi.json"
@@ -33,6 +36,7 @@ NAV: dict[str, str] = {
     "Server and farm": "server.md",
     "REST with curl": "rest.md",
     "Commands": "commands.md",
+    "Settings": "settings.md",
     "REST reference": "rest-reference.md",
     "The paper's claims": "paper.md",
     "Architecture": "architecture.md",
@@ -56,6 +60,7 @@ def main(folder: Path) -> None:
     (pages / "commands.md").write_text(
         get_docs_for_click(obj=command, ctx=context, name="causticmill"), encoding="utf-8"
     )
+    (pages / "settings.md").write_text("\n".join(_settings_lines()) + "\n", encoding="utf-8")
     document = json.loads(OPENAPI.read_text(encoding="utf-8"))
     (pages / "rest-reference.md").write_text("\n".join(_rest_lines(document)) + "\n", encoding="utf-8")
     settings = {
@@ -74,6 +79,21 @@ def main(folder: Path) -> None:
 def _as_page(text: str) -> str:
     """Links as they lead from the site's first folder."""
     return text.replace("](docs/", "](").replace("](ARCHITECTURE.md)", "](architecture.md)")
+
+
+def describe_settings() -> dict[str, str]:
+    """Return the description of each setting of the server, from the docstring of the settings."""
+    rows = re.findall(r"^ *([a-z_, ]+?) +: (.+)$", ServerSettings.__doc__ or "", flags=re.MULTILINE)
+    return {name: words for names, words in rows for name in names.split(", ")}
+
+
+def _settings_lines() -> Iterator[str]:
+    yield "# Settings of the server\nEach is an environment variable. Empty: there is no default.\n"
+    yield "| variable | default | |\n|---|---|---|"
+    for name, words in describe_settings().items():
+        default = ServerSettings.model_fields[name].default
+        shown = "" if default in (None, (), {}) else f"`{default}`"
+        yield f"| `{PREFIX}{name.upper()}` | {shown} | {words} |"
 
 
 def _rest_lines(document: dict[str, Any]) -> Iterator[str]:

@@ -312,17 +312,12 @@ def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
     return kernel / points
 
 
-def residual_shift_px(seen: Array, target: Array) -> tuple[float, float]:
-    """Return the shift (x, y) of the picture `seen` from the target [px]: Gauss-Newton, blurred less and less."""
-    return _shift_to(_blur_pictures(target), seen)
-
-
 def _blur_pictures(target: Array) -> list[Array]:
     return [gaussian_filter(target, sigma) for sigma in _BLURS]
 
 
 def _shift_to(aims: Sequence[Array], seen: Array) -> tuple[float, float]:
-    """Return `residual_shift_px` to a target that is blurred already."""
+    """Return the shift (x, y) [px] of a picture from the target, whose blurred pictures these are, by Gauss-Newton."""
     found = np.zeros(2)
     for sigma, aim in zip(_BLURS, aims, strict=True):
         given = gaussian_filter(seen, sigma)

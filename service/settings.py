@@ -33,6 +33,7 @@ class ServerSettings(BaseSettings):
     upgrade_to        : the version to which tables of PostgreSQL that hold jobs may be upgraded: a copy of them is kept
     store_url         : file:///folder, s3://bucket/prefix; None: the folder `objects` in `data`
     store_is_shared   : a person states that a file:// store is the same folder on every host of the farm
+    host, port        : address to serve on; another computer needs a proxy with TLS
     anonymous         : what a caller on this computer without a token may do, as long as no token has ever been made
     allowed_hosts     : further names under which the server may be called (Host header)
     behind_proxy      : a proxy with TLS and its own authentication is in front; needed to bind anything but loopback
@@ -41,17 +42,22 @@ class ServerSettings(BaseSettings):
     executor          : this worker's name in the farm; None: made from host and data folder
     stage_memory_mb   : address space of a stage's process in addition to its size at the start
     stage_time_s      : the longest a stage may take
+    max_upload_mb     : the largest picture that is accepted
+    max_megapixels    : the most pixels of a picture
     free_disk_mb      : below this much free space nothing new is accepted or started
     keep_days         : ended jobs older than this are deleted; None: kept
     quota_mb          : artifacts beyond this are deleted, oldest ended jobs first; None: no quota
-    requests_per_s    : of one caller, with bursts of ten times as many; POST of jobs: jobs_per_min
+    requests_per_s    : of one caller, with bursts of ten times as many
+    jobs_per_min      : jobs that one caller may submit
     agents_file       : TOML that lists the agents of mills on other computers
     start_agents      : `serve` starts an agent for every configured machine that has a port
     prepare           : compile kernels soon after the start, so that the first estimate and the first job need not wait
     simulated_mill    : `serve` also offers a simulated mill, to try everything on
     notify_url        : web address for JSON notices of what needs a person at a mill; None: no notices
-    notify_email      : mailbox for the same notices, through smtp_url: smtp://user:password@host:port, or smtps://
+    notify_email      : mailbox for the same notices
+    smtp_url          : server that sends these mails: smtp://user:password@host:port, or smtps://
     cameras           : {"mill": "http://..."}: beside each mill one that sends a JPEG, or a stream of them
+    log_level         : the least important lines that are logged
     log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
     """
 

@@ -20,6 +20,7 @@ from docs.release import LOCK, bill_of_materials
 from machines.profile import load_profile
 from service.cli.main import run
 from service.job.spec.loading import resolve_spec
+from service.settings import ServerSettings
 
 TOP = Path(__file__).parents[1]
 README = (TOP / "README.md").read_text(encoding="utf-8")
@@ -125,6 +126,11 @@ def test_the_site_has_every_page_of_docs_every_command_and_every_route(tmp_path:
     commands, routes = ((pages / name).read_text(encoding="utf-8") for name in ("commands.md", "rest-reference.md"))
     assert all(f"causticmill {name}" in commands for name in ("make", "stream", "service backup"))
     assert all(route in routes for route in ("POST /v1/jobs", "GET /v1/jobs/{id}"))
+
+
+def test_every_setting_of_the_server_is_described() -> None:
+    assert site.describe_settings().keys() == ServerSettings.model_fields.keys()
+    assert all(f"`{name}`" in ALL for name in ("KEEP_DAYS", "QUOTA_MB", "FREE_DISK_MB"))
 
 
 def test_the_map_names_every_folder_and_no_other() -> None:

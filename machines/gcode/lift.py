@@ -12,7 +12,7 @@ from decimal import Decimal
 
 from machines.errors import ProgramRefusedError
 from machines.gcode.dialects import DIALECTS
-from machines.gcode.text import BadTextError, shown, split_words, strip_block
+from machines.gcode.text import BadTextError, show_line, split_words, strip_block
 from phrases.phrase import Phrase
 
 LIFT_MM = (1.0, 200.0)  # least and most
@@ -62,4 +62,4 @@ def _lift_block(words: list[tuple[bytes, bytes]], lift: Decimal, number: int, li
 
 
 def _refuse(number: int, line: bytes, word: str) -> ProgramRefusedError:
-    return ProgramRefusedError(number, shown(line), Phrase("{word} cannot be raised for a dry pass", word=word))
+    return ProgramRefusedError(number, show_line(line), Phrase("{word} cannot be raised for a dry pass", word=word))

@@ -43,11 +43,10 @@ class Registration:
                           upper left corner, pixel centres at halves) -> pixels of the photograph, counted likewise
     rectified (ny, nx)  : the photograph in the prediction's place and units, work frame; NaN beyond the photograph
     usable (ny, nx)     : where that is light and neither clipped nor beyond the photograph
-    fitted (ny, nx)     : the prediction, blurred as the photograph is, work frame
     gain, offset, tone  : photograph = gain * irradiance^tone + offset
     blur_px             : standard deviation of the Gaussian, in pixels of the prediction, that the photograph is softer
                           by; negative: sharper
-    residual            : rms of rectified - fitted over usable pixels, over the prediction's standard deviation
+    residual            : rms of rectified less the prediction, blurred alike, over the prediction's standard deviation
     correlation         : of the photograph with what is fitted to it, inside the picture
     likeness            : geometric mean of that and of the correlation of the picture's details
     confidence          : 0 to 1: that this is a photograph of the prediction; below 0.5 the rest is not reliable
@@ -63,7 +62,6 @@ class Registration:
     homography: Array
     rectified: Array
     usable: Mask
-    fitted: Array
     gain: float
     offset: float
     tone: float
@@ -87,7 +85,6 @@ def register(
     *,
     viewed_from: ViewedFrom = "lens",
     fit_tone: bool = False,
-    dark_surround: bool = True,
 ) -> Registration:
     """Find the predicted light in a photograph.
 
@@ -95,7 +92,6 @@ def register(
     predicted (ny, nx) : irradiance in the work frame (row 0 at the lowest y), any units
     viewed_from        : from which side the photograph was taken
     fit_tone           : the camera's tones are uncertain: fit an exponent too
-    dark_surround      : no light is predicted around the prediction, so that its rim is visible
 
     ValueError for a photograph or a prediction without light.
     """
@@ -105,7 +101,7 @@ def register(
     if not (np.isfinite(scale) and scale > 0):
         raise ValueError("the prediction holds no light")
     picture = picture / scale
-    views = [View.of(picture, side, dark_surround) for side in _sides(max(picture.shape))]
+    views = [View.of(picture, side, dark_surround=True) for side in _sides(max(picture.shape))]
     upright = _choose_fit(photograph, views, first_guesses(photograph.small(), picture, turned_over=False))
     mirrored = _choose_fit(photograph, views[:2], first_guesses(photograph.small(), picture, turned_over=True))
     level = min(1, len(views) - 1)
@@ -154,7 +150,7 @@ def _registration(
     """Return the fit in the prediction's own pixels, units and frame."""
     ny, nx = picture.shape
     whole = View.of(picture, max(ny, nx), dark_surround=False)
-    light, clipped, inside = whole.seen(photograph, fit.homography)
+    light, clipped, inside = whole.sample(photograph, fit.homography)
     finer = max(picture.shape) / max(view.picture[view.inner].shape)
     spread = (fit.spread_px2 - photograph.sampling_blur_px2(fit.homography, view.step)) * finer**2
     fitted = blur(picture, replace(fit, spread_px2=spread))
@@ -173,7 +169,6 @@ def _registration(
         homography=normalise_homography(fit.homography @ to_own),
         rectified=own(np.where(inside, rectified, np.nan) * scale),
         usable=own(usable.astype(np.float64)) > 0,
-        fitted=own(fitted * scale),
         gain=fit.gain / scale**fit.tone,
         offset=fit.offset,
         tone=fit.tone,

@@ -81,7 +81,6 @@ class WallFit:
     surface_um        : for each of ORDERS, height of the surface over the lens, as the Legendre polynomial's factor
     blur_mm           : standard deviation on the wall by which the photograph is softer than predicted; < 0: sharper
     predicted_blur_mm : standard deviation of the blur that makes the predicted picture softer than the design's light
-    fitted (ny, nx)   : the light that the fitted set-up makes on the wall, work frame, blurred as in the photograph
     correlation       : of the photograph with the fit, and `before` with the predicted set-up
     """
 
@@ -91,7 +90,6 @@ class WallFit:
     surface_um: tuple[Estimate, ...]
     blur_mm: float
     predicted_blur_mm: float
-    fitted: Array
     correlation: float
     before: float
 
@@ -164,7 +162,7 @@ class _Scene:
         rim = self.view.inner[0].start
         shape = self.view.picture[self.view.inner].shape
         self.rays = WallRays(lens, bench, (shape[0], shape[1]), rim)
-        self._plain = self._seen(np.zeros(SETTINGS))
+        self._plain = self._flip_to_viewer(np.zeros(SETTINGS))
         self.known = np.ones(self._plain.shape, dtype=bool)
         known = np.isfinite(predicted)
         self.known[self.view.inner] = area_average(known.astype(np.float64), shape) > 0.999
@@ -179,7 +177,7 @@ class _Scene:
 
     def light(self, setting: Array) -> Array:
         """Return the light as the viewer sees it, as soft as predicted."""
-        soft = self._soften(self._seen(setting)) if setting.any() else self._soft
+        soft = self._soften(self._flip_to_viewer(setting)) if setting.any() else self._soft
         return np.maximum(soft + self._milled, 0.0)
 
     def make_view(self, state: _State, light: Array | None = None) -> View:
@@ -230,7 +228,7 @@ class _Scene:
             return 0.0
         return float(np.corrcoef((off + model)[chosen], model[chosen])[0, 1])
 
-    def _seen(self, setting: Array) -> Array:
+    def _flip_to_viewer(self, setting: Array) -> Array:
         return flip_between_picture_and_work_frame(self.rays.light(setting), self._viewed_from)
 
     def _soften(self, light: Array) -> Array:
@@ -370,7 +368,6 @@ class _WallFit:
         view, fit = scene.make_view(state), state.fit
         pixel_mm = self._bench.screen.width_mm / view.picture[view.inner].shape[1]
         predicted_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
-        fitted = blur(scene.light(state.setting), fit)[view.inner]
         return WallFit(
             throw_mm=found[0],
             wall_tilt_rad=(found[1], found[2]),
@@ -378,7 +375,6 @@ class _WallFit:
             surface_um=tuple(found[5:]),
             blur_mm=math.copysign(math.sqrt(abs(fit.spread_px2)) * pixel_mm, fit.spread_px2),
             predicted_blur_mm=predicted_px * pixel_mm,
-            fitted=flip_between_picture_and_work_frame(fitted, self._viewed_from),
             correlation=scene.correlation(state),
             before=before,
         )

@@ -19,6 +19,7 @@ from service.progress import PlainReporter, QuietReporter, Reporter, TerminalRep
 
 ENDED = ("succeeded", "failed", "cancelled")
 _SILENCE_S = 45.0  # the server sends a comment every 15 s
+_LOST_S = 600.0
 _AGAIN_S = (0.1, 0.3, 1.0, 2.0, 3.0)
 _PASSING = {429, 502, 503, 504}
 
@@ -54,11 +55,10 @@ def stream_events(
     *,
     on_lost: Callable[[str], None],
     on_back: Callable[[], None],
-    timeout_s: float = 600.0,
 ) -> Iterator[ServerEvent | None]:
     """Yield messages until the server has no more (204). None: the connection is new, ask for the present state.
 
-    `on_lost` is called once for each lost connection; GoneError if the server does not return within `timeout_s`.
+    `on_lost` is called once for each lost connection; GoneError if the server does not return within ten minutes.
     """
     last_id, tries, lost_s = "", 0, None
     while True:
@@ -84,7 +84,7 @@ def stream_events(
             if lost_s is None:
                 lost_s = now_s
                 on_lost(words)
-            if now_s - lost_s > timeout_s:
+            if now_s - lost_s > _LOST_S:
                 raise
         time.sleep(_AGAIN_S[min(tries, len(_AGAIN_S) - 1)])
         tries += 1

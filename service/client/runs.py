@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -145,12 +145,12 @@ _DATA, _USUAL_DATA = "CAUSTICMILL_DATA", "causticmill-data"
 _TIMEOUT = httpx.Timeout(3.0, connect=1.0)
 
 
-def stop_at_agents(run_id: str, stop: str, environment: Mapping[str, str] = os.environ) -> str | None:
+def stop_at_agents(run_id: str, stop: str) -> str | None:
     """Stop a run at the agent that has it; return its machine, or None if no agent has stopped it.
 
     Agents are found by the cards that `serve` and `mill` of this account have written.
     """
-    for card, token in _list_agents(environment):
+    for card, token in _list_agents():
         with contextlib.suppress(httpx.HTTPError):
             headers = {"Authorization": f"Bearer {token}"}
             url = f"{card.url}/v1/runs/{run_id}:{stop}"
@@ -159,8 +159,8 @@ def stop_at_agents(run_id: str, stop: str, environment: Mapping[str, str] = os.e
     return None
 
 
-def _list_agents(environment: Mapping[str, str]) -> Iterator[tuple[AgentCard, str]]:
-    homes = (Path(environment.get(_DATA) or _USUAL_DATA) / "agents", state_home())
+def _list_agents() -> Iterator[tuple[AgentCard, str]]:
+    homes = (Path(os.environ.get(_DATA) or _USUAL_DATA) / "agents", state_home())
     for folder in (folder for home in homes if home.is_dir() for folder in sorted(home.iterdir())):
         if (card := read_card(folder)) is not None:
             with contextlib.suppress(InputError):

@@ -50,22 +50,22 @@ class Target:
     token: str | None
 
 
-def target_of(*, server: str | None, token_file: Path | None, environment: Mapping[str, str] = os.environ) -> Target:
+def target_of(*, server: str | None, token_file: Path | None) -> Target:
     """Return the given target; by default the environment's, or this computer and its token file."""
-    url = _address(server, "--server") if server else _address(environment.get(SERVER_VARIABLE, ""), SERVER_VARIABLE)
+    url = _address(server, "--server") if server else _address(os.environ.get(SERVER_VARIABLE, ""), SERVER_VARIABLE)
     if token_file is not None:
         return Target(url, _token(_read(token_file), f"--token-file {token_file}"))
-    if text := environment.get(TOKEN_VARIABLE):
+    if text := os.environ.get(TOKEN_VARIABLE):
         return Target(url, _token(text, TOKEN_VARIABLE))
-    for path in own_token_files(environment):
+    for path in own_token_files():
         if path.is_file():
             return Target(url, _token(_read(path), str(path)))
     return Target(url, None)
 
 
-def own_token_files(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
+def own_token_files() -> tuple[Path, ...]:
     """Return the paths where a person may keep the token: `token` beside the folder of the machine profiles."""
-    return tuple(folder.parent / "token" for folder in user_folders(environment))
+    return tuple(folder.parent / "token" for folder in user_folders())
 
 
 def _address(text: str, given_as: str) -> str:

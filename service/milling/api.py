@@ -48,7 +48,7 @@ Code = Annotated[str, Field(description="the same as `words`, for programs; empt
 Values = Annotated[dict[str, Any], Field(description="what the words name, by `code`")]
 
 _LATEST_S = 4e9  # year 2096: what is later is no time
-_PERSON = r"^[^\W_][\w .,'@-]{0,59}$"
+_PERSON = r"^[^\W_][\w .,'@-]*$"  # a count of such classes of Unicode would take megabytes in each model
 Person = Annotated[
     str,
     Field(min_length=1, max_length=60, pattern=_PERSON, description="who it is, for others to see", examples=["Ada"]),
@@ -65,7 +65,7 @@ _Mm = Annotated[float, _within(JOG_MM)]
 
 class ControlBody(Body):
     operator: Person
-    take_over: Annotated[bool, Field(strict=True, description="from the one who has it; they are told")] = False
+    take_over: Annotated[bool, Field(strict=True, description="from the person who has it, who is notified")] = False
 
 
 class GrantBody(Body):
@@ -189,7 +189,7 @@ class RunReply(Body):
     values: Annotated[dict[str, Any], Field(default_factory=dict)]
     phrases: Phrases
     travel_in_doubt: Annotated[bool, Field(strict=True)] = False
-    id: Annotated[str, Field(pattern=r"^[^/]{1,100}$")]
+    id: Annotated[str, Field(min_length=1, max_length=100, pattern="^[^/]*$")]
     state: RunState
 
 

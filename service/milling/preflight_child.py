@@ -63,16 +63,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     from machines.preflight.preflight import Preflight
     from machines.preflight.way_in import read_way_in
 
-    model = DurationModel(
-        Kinematics(
-            max_rate_mm_per_min=limits.max_rate_mm_per_min,
-            acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
-            junction_deviation_mm=limits.junction_deviation_mm,
-            planner_blocks=limits.planner_blocks + 1,  # plus the slot that is always free and not reported
-            lines_per_s=limits.lines_per_s,
-            bytes_per_s=limits.bytes_per_s,
-        )
-    )
+    model = DurationModel(Kinematics.of(limits, bytes_per_s=limits.bytes_per_s))
     knots = _Knots(model)
     scan = ProgramScan(limits.dialect, limits.max_rate_mm_per_min)
     digest = hashlib.sha256()

@@ -23,10 +23,11 @@ _TYPES = {
     "svg": "image/svg+xml",
     "png": "image/png",
     "jpg": "image/jpeg",
+    "avif": "image/avif",
     "webmanifest": "application/manifest+json",
 }
 _PATH = re.compile(rf"(?:[A-Za-z0-9_-]+/){{0,4}}[A-Za-z0-9_.-]+\.({'|'.join(_TYPES)})")
-_PACKED_BEFORE = frozenset({"png", "jpg"})
+_PACKED_BEFORE = frozenset({"png", "jpg", "avif"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,9 @@ const ROUTES = [
   [/^\/machines\/(?<name>[^/]+)$/, "machines", () => import("./machine/view.js")],
 ];
 
+const THEME = "causticmill-colours";
+const THEMES = [["", t("as the computer")], ["light", t("light")], ["dark", t("dark")]];
+
 const root = document.getElementById("view");
 let current = { leave() {} };
 let shows = 0;
@@ -136,13 +139,22 @@ function languageChoice() {
   return h("label", {}, t("Language"), h("select", { onchange: (event) => choose(event.target.value) }, options));
 }
 
+/** Light, dark, or as the computer has it; kept in this browser. */
+function themeChoice() {
+  const show = (theme) => (document.documentElement.style.colorScheme = theme);
+  const options = THEMES.map(([value, name]) => h("option", { value, selected: value === localStorage.getItem(THEME) }, name));
+  const take = ({ target: { value } }) => (localStorage.setItem(THEME, value), show(value));
+  show(localStorage.getItem(THEME) ?? "");
+  return h("label", {}, t("Colours"), h("select", { onchange: take }, options));
+}
+
 /** A file dropped beside a drop place must not take the page away. */
 function keepDropsHere() {
   for (const kind of ["dragover", "drop"]) addEventListener(kind, (event) => event.preventDefault());
 }
 
 translateFrame();
-replace(document.querySelector("footer"), languageChoice());
+replace(document.querySelector("footer"), themeChoice(), languageChoice());
 api.onAway(showAway);
 api.setKeyDialog(askForKey);
 showWho(document.getElementById("who"));

@@ -111,12 +111,6 @@ class KeptChild:
             self._end_all_of(caller)
 
     @property
-    def callers(self) -> set[str]:
-        """The callers that wait for an answer."""
-        with self._condition:
-            return {one.caller for one in (self._running, *self._waiting) if one is not None}
-
-    @property
     def child_pid(self) -> int | None:
         """Id of the process, while there is one."""
         child = self._child

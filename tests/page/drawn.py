@@ -94,6 +94,7 @@ def drawn(opened: Opened, path: Path, before: str = "") -> Drawn:
     found.served.on(page, url)
     answer(page, job, [file])
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
+    page.locator("#path-title").click()  # alone: no other part moves it
     expect(page.locator(".path-body")).to_be_visible()
     page.locator(".path-body").evaluate("one => one.scrollIntoView({block: 'center'})")
     expect(found.level).to_be_attached()

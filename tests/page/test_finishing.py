@@ -10,12 +10,12 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.job.spec.finish_library import built_in_processes, instruct_finishing
-from service.wording import psnr_in_words
+from service.wording import likeness_in_words
 from tests.page import jobs
 from tests.page.browser import layout_faults, serious_faults
 from tests.page.conftest import Opened
 
-SEEN = {"psnr_db": 28.4, "ssim": 0.81, "misplaced_light": 0.03, "smallest_detail_mm": 1.13}
+SEEN = {"psnr_db": 28.4, "seen_db": 18.0, "ssim": 0.81, "misplaced_light": 0.03, "smallest_detail_mm": 1.13}
 PROCESSES = built_in_processes()
 
 
@@ -44,11 +44,12 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
     for sentence in (*process.needs, *process.steps, *process.donts, process.removal, process.when_to_stop):
         expect(card).to_contain_text(sentence)
     expect(card).to_contain_text("10 min")  # a quarter of 100 cm2
-    expect(card).to_contain_text(psnr_in_words(SEEN["psnr_db"]))
+    expect(card).to_contain_text(likeness_in_words(SEEN["seen_db"]))
     expect(card.locator(".notice")).to_have_count(0)
-    facts = page.locator(".job-facts")
+    facts = page.locator(".expect-part")
     expect(facts).to_contain_text("On the wall, as finished")
     expect(facts).to_contain_text("details under 1.1 mm will blur")
+    page.locator("#pictures-title").scroll_into_view_if_needed()
     expect(page.get_by_role("slider", name="Wipe between Target and As finished")).to_be_visible()
     expect(page.get_by_role("img", name="The picture as given, and prepared")).to_be_visible()
     facts.get_by_text("Figures for experts").click()
@@ -58,12 +59,12 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
 
 def test_the_tool_that_the_rims_want_is_said(opened: Opened) -> None:
     page = finished(opened, 45, how={"process": "felt"}, rims="On the outermost 4.0 mm work with a smaller tool.")
-    expect(page.locator(".finishing")).to_contain_text("On the outermost 4.0 mm work with a smaller tool.")
+    expect(page.locator(".finishing-part")).to_contain_text("On the outermost 4.0 mm work with a smaller tool.")
 
 
 def test_what_speaks_against_a_finish_is_said(opened: Opened) -> None:
     page = finished(opened, 42, seen={**SEEN, "psnr_db": 3.0}, how={"process": "sanding", "minutes": 0.5})
-    notices = page.locator(".finishing .notice")
+    notices = page.locator(".finishing-part .notice")
     expect(notices).to_have_count(2)
     expect(notices.first).to_contain_text("makes the picture worse")
     expect(notices.last).to_contain_text("is outside the known range")
@@ -72,7 +73,7 @@ def test_what_speaks_against_a_finish_is_said(opened: Opened) -> None:
 def test_a_job_without_a_finish_has_no_card(opened: Opened) -> None:
     page = finished(opened, 43, how={"process": "none"})
     expect(page.get_by_role("heading", name="Programs")).to_be_visible()
-    expect(page.locator(".finishing")).to_be_hidden()
+    expect(page.locator(".finishing-part")).to_be_hidden()
 
 
 @pytest.mark.thorough

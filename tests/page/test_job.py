@@ -13,17 +13,16 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import usual_seconds
-from service.wording import duration, psnr_in_words
+from service.wording import duration, likeness_in_words
 from tests.levels import mostly_thorough
 from tests.page import canned_job
 from tests.page.browser import SIZES, open_blank
 from tests.page.canned_job import RUN_EXAMPLE
 from tests.page.conftest import Kept, Opened, visit
-from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
+from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, unfold, with_plan
 from tests.page.machine_states import NAME as MILL
 from tests.service.job.page_data.paths import split_header
 
-NEAR_PX = 150
 AWAY = (r"net::ERR_", r"status of 50[234]")
 NO_WEBGL = """const get = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
@@ -37,7 +36,7 @@ def at_job(browser: Browser, kept: Kept) -> Iterator[Page]:
     watched = kept.pages(browser, "wide", once=True)
     page = watched.page()
     visit(page, f"#/jobs/{canned_job.JOB_ID}")
-    expect(page.get_by_role("heading", name="Programs")).to_be_visible()
+    unfold(page)
     yield page
     watched.close()
 
@@ -51,6 +50,7 @@ def test_a_wipe_goes_where_mouse_and_keys_say(at_job: Page) -> None:
         at_job.locator(".wipe-frame"),
         at_job.get_by_role("slider", name="Wipe between Target and As milled"),
     )
+    at_job.locator("#pictures-title").scroll_into_view_if_needed()
     expect(slider).to_be_visible()
     frame.scroll_into_view_if_needed()
     box = frame.bounding_box()
@@ -80,7 +80,7 @@ def test_figures_in_words_are_those_of_the_report(at_job: Page) -> None:
     marks_mm = math.hypot(milled["blur_x_px"], milled["blur_y_px"]) * pixel_mm
     detail_mm = max(pixel_mm, math.hypot(2 * marks_mm, optics["tolerances"]["blur_mm"]))
     facts = at_job.locator(".facts")
-    expect(facts).to_contain_text(psnr_in_words(milled["psnr_db"]))
+    expect(facts).to_contain_text(likeness_in_words(milled["seen_db"]))
     assert not re.search(r"dB|PSNR|SSIM|rms", facts.inner_text()), "words for an eye; figures are folded away"
     at_job.get_by_text("Figures for experts").click()
     likeness = at_job.get_by_role("row", name="Likeness (PSNR)").get_by_role("cell")
@@ -89,7 +89,7 @@ def test_figures_in_words_are_those_of_the_report(at_job: Page) -> None:
     assert told
     assert float(told[1]) * (1e-3 if told[2] == "µm" else 1) == pytest.approx(detail_mm, rel=0.06)
     for warning in job["report"]["warnings"]:
-        expect(at_job.locator(".warnings")).to_contain_text(warning[1:].replace("`", ""))
+        expect(at_job.locator(".warnings-part")).to_contain_text(warning[1:].replace("`", ""))
     expect(at_job.locator("#view")).not_to_contain_text(re.compile("causticmill [a-z]"))  # here nobody has a terminal
 
 
@@ -97,10 +97,10 @@ def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(modules: Page) -
     """One scale of words, one way of saying times."""
     script = """([levels, times]) => Promise.all([import("/page/job/eye_words.js"), import("/page/lib/words.js")]).then(
         ([{eyeWords}, {hours}]) => [levels.map(eyeWords), times.map(hours)])"""
-    levels = [step / 4 for step in range(40, 280)]
+    levels = [step / 4 for step in range(20, 220)]
     times = [0, 59.4, 59.5, 89, 90, 3569, 3570, 9900, 86_369, 86_370, 90_000, 183_600]
     assert modules.evaluate(script, [levels, times]) == [
-        [psnr_in_words(level) for level in levels],
+        [likeness_in_words(level) for level in levels],
         [duration(seconds) for seconds in times],
     ]
 
@@ -112,13 +112,13 @@ HEADLINES = """([optics, milled, foretold]) => import("/page/job/figures.js").th
 
 def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modules: Page) -> None:
     """So that nobody who was told of a poor picture reads for a while only of a good one."""
-    designed, hard = {"psnr_db": 32.0}, "hard to recognise"
-    first, second = modules.evaluate(HEADLINES, [designed, None, 18.0])
+    designed, hard = {"seen_db": 22.0}, "hard to recognise"
+    first, second = modules.evaluate(HEADLINES, [designed, None, 8.0])
     assert first == ["On the wall, as milled", hard, "as predicted; the last steps simulate it"]
     assert second[0] == "On the wall, if polished"
     (only,) = modules.evaluate(HEADLINES, [designed, None, None])
     assert only[0] == "On the wall, if polished" and "as milled it may be less" in only[2]
-    assert modules.evaluate(HEADLINES, [designed, {"psnr_db": 18.5}, 30.0])[0] == ["On the wall, as milled", hard, ""]
+    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.5}, 20.0])[0] == ["On the wall, as milled", hard, ""]
 
 
 LEFT = """(rows) => import("/page/job/left.js").then(({secondsLeft, leftWords}) => rows.map(([job, live, now]) => {
@@ -227,6 +227,7 @@ def test_programs_of_a_job_that_failed_or_is_given_up_can_be_saved_but_not_sent(
     answer(page, like(job, 7), files)
     page.reload()
     answer(page, like(job, 7), files)
+    unfold(page)
     expect(programs.get_by_role("link", name=f"Send to {MILL}")).to_have_count(len(job["programs"]))
     expect(programs).not_to_contain_text("again")
 
@@ -316,6 +317,7 @@ def test_the_lens_is_shown_with_its_wall_or_alone(at_job: Page) -> None:
 @pytest.mark.thorough
 def test_without_webgl_there_is_the_map_of_heights(opened: Opened) -> None:
     page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)
+    unfold(page)
     chart = page.locator(".height-map")
     chart.scroll_into_view_if_needed()
     expect(page.locator(".height-bar")).to_be_visible()
@@ -387,7 +389,6 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened) -> None:
     points, chosen = page.get_by_role("radio", name="will blur"), page.locator(".plan-chosen")
     expect(points).to_have_count(len(PLAN_HOURS))
     expect(chosen).to_contain_text("This is the plan of this job,")
-    assert page.locator(".plan-words").all_text_contents() == ["hard to recognise", "recognisable"]  # words beside dB
     boxes = "dots => dots.map((dot) => dot.getBoundingClientRect()).map(({x, y}) => [x, -y])"
     places = page.locator("[role=radio] .plan-dot").evaluate_all(boxes)  # all at once: pictures that come move the page
     assert len(places) == len(PLAN_HOURS)
@@ -431,17 +432,20 @@ def test_a_job_that_is_not_there_is_said_so(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize("size", mostly_thorough(["wide", "tablet"], quick=["wide"]))
-def test_beside_the_pictures_no_column_is_left_empty(opened: Opened, size: str) -> None:
-    """With two programs and two things to look out for: where each column's last words are, the other's are near."""
+def test_a_finished_job_is_its_light_and_two_screens_long_with_no_phrase_twice(opened: Opened, size: str) -> None:
+    """The light and the next steps fill the first screen; everything else is folded, but what to look out for."""
     job, files = canned()
-    told = ["The picture will be flatter: a smaller ball or a wall farther away keeps more of it. " * 2] * 2
+    told = ["The picture will be flatter: a smaller ball or a wall farther away keeps more of it. " * 2]
     page = shown(opened, like(job, 1, report=job["report"] | {"warnings": told}), files, size=size)
-    expect(page.locator(".pictures-row img")).to_have_count(3)
-    expect(page.locator(".programs li")).to_have_count(2)
-    place = "one => { const { left, bottom } = one.getBoundingClientRect(); return [left, bottom]; }"
-    pictures, programs = (page.locator(one).evaluate(place) for one in (".pictures-row", ".programs"))
-    assert programs[0] > pictures[0] + SIZES[size][0] / 3, "beside each other"
-    assert abs(programs[1] - pictures[1]) < NEAR_PX
+    page.evaluate(
+        "for (const one of document.querySelectorAll('.folded:not(.warnings-part) > details')) one.open = false"
+    )
+    expect(page.get_by_role("img", name="On the wall, as milled")).to_be_in_viewport(ratio=1)
+    expect(page.get_by_role("link", name=re.compile("^Send to "))).to_be_in_viewport(ratio=1)
+    assert page.evaluate("document.documentElement.scrollHeight") <= 2 * SIZES[size][1]
+    expect(
+        page.get_by_text(likeness_in_words(job["report"]["as_milled"]["seen_db"])).filter(visible=True)
+    ).to_have_count(1)
 
 
 def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(opened: Opened) -> None:

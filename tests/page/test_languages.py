@@ -183,7 +183,7 @@ def test_a_language_is_the_browsers_or_the_one_chosen(opened: Opened, language: 
     page.evaluate("location.hash = '#/machines/shop'")
     expect(page.locator(".stops .stop span")).to_have_text(stop)
     page.evaluate("location.hash = '#/'")
-    page.locator("footer select").select_option("en")
+    page.locator("footer select").last.select_option("en")
     expect(page.get_by_role("link", name="Jobs", exact=True)).to_be_visible()
     assert page.evaluate("document.documentElement.lang") == "en"
     page.evaluate("localStorage.clear()")

@@ -20,7 +20,7 @@ from service.job.page_data.surface import light_bytes
 from service.job.picture.light_png import srgb_levels
 from tests.page import canned_job
 from tests.page.conftest import Opened
-from tests.page.jobs import canned, like, shown, with_plan
+from tests.page.jobs import canned, like, shown, unfold, with_plan
 from tests.page.test_job import NO_WEBGL
 
 PIXELS, SEEN = 64, 256
@@ -115,6 +115,7 @@ AT_REST = """async () => {
 @pytest.mark.thorough
 def test_wall_and_block_are_moved_by_keys_and_nothing_is_drawn_while_nothing_moves(opened: Opened) -> None:
     page = opened(f"#/jobs/{canned_job.JOB_ID}", once=True)
+    unfold(page)
     page.evaluate(FRAMES)
     canvas = page.locator(".light-canvas")
     canvas.scroll_into_view_if_needed()
@@ -152,6 +153,7 @@ def test_light_begins_with_what_the_wall_will_show_and_says_why_a_sharpened_lens
 
 def test_without_webgl_a_sentence_stands_for_live_light(opened: Opened) -> None:
     page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)
+    unfold(page)
     page.locator("#light-title").scroll_into_view_if_needed()
     expect(page.get_by_text("no WebGL2 for live light")).to_be_visible()
     expect(page.locator(".light-canvas")).to_be_hidden()

@@ -13,6 +13,7 @@ from tests.page.answers import problem
 from tests.page.canned_job import COUPON_EXAMPLE, ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened
 from tests.page.form import choose, parts, picture
+from tests.page.jobs import unfold
 from tests.page.machine_states import NAME
 from tests.page.stub import GOING
 
@@ -28,6 +29,7 @@ NOTE_PARTS = """() => {
 def test_a_photograph_of_the_wall_is_sent_and_what_it_tells_is_shown(opened: Opened) -> None:
     """Findings as sentences and the picture beside them; a refusal says what to do, and another one can be taken."""
     page = opened(f"#/jobs/{canned_job.JOB_ID}", errors=("status of 422",))
+    unfold(page)
     card = page.get_by_role("region", name="Photograph of the wall")
     chosen = card.locator("input[type=file]")
     assert (chosen.get_attribute("accept"), chosen.get_attribute("capture")) == ("image/*", "environment")
@@ -47,6 +49,7 @@ def test_a_photograph_of_the_wall_is_sent_and_what_it_tells_is_shown(opened: Ope
 
 def test_without_a_lens_no_photograph_is_asked_for(opened: Opened) -> None:
     page = opened(f"#/jobs/{GOING}")
+    unfold(page)
     expect(page.locator(".job-progress")).to_be_visible()
     expect(page.locator(".job-photo")).to_be_hidden()
 

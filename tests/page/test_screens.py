@@ -106,7 +106,7 @@ def of_a_job(state: str, **more: Any) -> Screen:
 
 def of_a_finished_job(opened: Opened) -> Page:
     page = jobs.shown(opened, *jobs.canned())
-    for part in ("#lens-title", "#path-title", "#files-title"):
+    for part in ("#pictures-title", "#lens-title", "#path-title", "#files-title"):
         page.locator(part).scroll_into_view_if_needed()
     expect(page.locator("[data-level]")).to_be_attached()
     return page
@@ -131,7 +131,7 @@ def of_no_jobs(opened: Opened) -> Page:
 def of_a_plan(opened: Opened) -> Page:
     job, files = jobs.canned()
     page = jobs.shown(opened, jobs.with_plan(job, 2), files)
-    for part in ("#plan-title", "#lens-title", "#path-title", "#files-title"):
+    for part in ("#pictures-title", "#plan-title", "#lens-title", "#path-title", "#files-title"):
         page.locator(part).scroll_into_view_if_needed()
     expect(page.locator("[data-level]")).to_be_attached()
     return page

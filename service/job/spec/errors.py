@@ -58,7 +58,7 @@ def describe_allowed(place: Place) -> Phrase:
     return _words(schema, keys[-1] if keys else "") if schema else Phrase("see the documentation")
 
 
-def known_keys(place: Place) -> list[str]:
+def list_known_keys(place: Place) -> list[str]:
     """Return keys of the table at a place of the spec."""
     return list(known_entries(place))
 
@@ -76,17 +76,19 @@ def known_entries(place: Place) -> dict[str, dict[str, Any]]:
 def _sentence(detail: ErrorDetails) -> Phrase:
     place, kind, value = detail["loc"], detail["type"], detail["input"]
     if kind == "extra_forbidden":
-        return unknown_key(str(place[-1]), known_keys(place[:-1]))
+        return unknown_key(str(place[-1]), list_known_keys(place[:-1]))
     if kind in _NO_TABLE and isinstance(value, str) and (main := _find_main_key(place)):
         key = join_place((*place, main))
-        return Phrase("is a table; did you mean {key}={value}?", key=key, value=_shown(value).strip("'"))
+        return Phrase("is a table; did you mean {key}={value}?", key=key, value=_show_value(value).strip("'"))
     if kind == "missing":
         return Phrase("is missing; allowed: {allowed}", allowed=describe_allowed(place))
     if isinstance(error := detail.get("ctx", {}).get("error"), RuleError):
         return error.words
     if kind == "too_short" and isinstance(value, list | tuple) and not value:
         return Phrase("is empty; allowed: {allowed}", allowed=describe_allowed(place))
-    return Phrase("{value} is not allowed; allowed: {allowed}", value=_shown(value), allowed=describe_allowed(place))
+    return Phrase(
+        "{value} is not allowed; allowed: {allowed}", value=_show_value(value), allowed=describe_allowed(place)
+    )
 
 
 def _find_main_key(place: Place) -> str:
@@ -95,7 +97,7 @@ def _find_main_key(place: Place) -> str:
     return first if inner_schema(entry).get("type") == "string" or "enum" in inner_schema(entry) else ""
 
 
-def _shown(value: Any) -> str:
+def _show_value(value: Any) -> str:
     """Return a value as the person wrote it, cut to fit one line of the message."""
     text = f"'{value}'" if isinstance(value, str) else repr(value)
     if isinstance(value, bool):

@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from machines.errors import MachineError
-from service.http.event_hub import HubStream, Reader
+from service.http.event_hub import HEARTBEAT_S, HubStream, Reader
 from service.http.problems import Problem, on_error, on_http_error
 from service.milling.agent.agent import Agent
 from service.milling.agent.requests import AgentGuard
@@ -38,7 +38,7 @@ class MillRoutes:
 
     async def events(self, request: Request) -> HubStream:
         hub, reader, last = self._agent.hub, Reader(), request.headers.get("last-event-id", "")
-        return HubStream(hub, reader, lambda: hub.add(reader, last), heartbeat_s=self._agent.settings.heartbeat_s)
+        return HubStream(hub, reader, lambda: hub.add(reader, last), heartbeat_s=HEARTBEAT_S)
 
     async def machine(self, _request: Request) -> Response:
         settings = self._agent.settings

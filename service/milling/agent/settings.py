@@ -11,7 +11,6 @@ from pathlib import Path
 
 from machines.port import stable_name
 from service.errors import FailedError, InputError, sentence_of_os_error
-from service.http.event_hub import HEARTBEAT_S
 from service.http.hosts import is_loopback, require_unread
 from service.milling.agent.card import TOKEN_FILE, make_token, read_token
 from service.processes.files import keep_private
@@ -33,10 +32,6 @@ class AgentSettings:
     token: str
     token_path: Path | None
     token_file: Path
-    max_program_bytes: int = 4 << 30
-    ring_events: int = 1000
-    heartbeat_s: float = HEARTBEAT_S
-    subscribers: int = 32
 
 
 def state_home() -> Path:

@@ -42,7 +42,7 @@ from machines.runs import RECOVERABLE, RunReport
 from service.errors import FailedError, InputError
 from service.milling.terminal.confirm import give_order
 from service.milling.terminal.leaving import STILL_HELD, Buffers
-from service.milling.terminal.screen import left_words, place_lines, print_lines
+from service.milling.terminal.screen import describe_mill_left, place_lines, print_lines
 
 CONNECT_S = 90.0  # the driver gives up a silent link sooner, and says why
 _MODE_S = 60.0  # the driver ends an unanswered command sooner
@@ -218,7 +218,7 @@ def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
     for key, _, command in offered:
         if answer == key:
             return command
-    raise InputError(f"stopped here ({need.code}); nothing was started", left_words(thread.snapshot.status))
+    raise InputError(f"stopped here ({need.code}); nothing was started", describe_mill_left(thread.snapshot.status))
 
 
 def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:

@@ -283,12 +283,12 @@ def stream_command(program: Path, port: str | None, machine: str, how: str) -> s
     return f"{shlex.join(words)} {how}"
 
 
-def left_words(status: MillStatus) -> str:
+def describe_mill_left(status: MillStatus) -> str:
     """Return in which state the mill is left."""
     if status.state is MillState.DISCONNECTED:
         return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"
     if status.state is MillState.CONNECTING:
-        return "the mill has not told its state since its controller restarted. Go and look"
+        return "the mill has not reported its state since its controller restarted. Go and look"
     spindle = {True: "spindle ON", False: "spindle off", None: "spindle state unknown"}[status.spindle_on]
     where = position_words(status.work_mm)
     return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"

@@ -69,7 +69,7 @@ from service.milling.terminal.screen import (
     LiveScreen,
     PlainScreen,
     Screen,
-    left_words,
+    describe_mill_left,
     mill_lines,
     print_lines,
     program_lines,
@@ -352,14 +352,13 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
     """Print the last lines, and raise the exit code as an error."""
     status, run = outcome.snapshot.status, outcome.snapshot.run
     held = () if outcome.cleared else (STILL_HELD,)
-    left = (*held, left_words(status), f"to go on: {order.next_command}")
+    stands = describe_mill_left(status)
+    left = (*held, stands, f"to go on: {order.next_command}")
     if outcome.words:
         raise FailedError(outcome.words, *left)
     match outcome.ended:
         case Ended.FINISHED:
-            print_lines(
-                [f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(run)}; {left_words(status)}"]
-            )
+            print_lines([f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(run)}; {stands}"])
             return
         case Ended.ABORTED:
             raise StoppedError("aborted", *left)
@@ -367,7 +366,7 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
             raise StoppedError("left held on request", *left)
         case Ended.ABANDONED:
             raise StoppedError(
-                "THE MILL MAY STILL MOVE: it was told to hold and has not said that it stands. Use its own stop button",
+                "THE MILL MAY STILL MOVE: it was sent a hold and has not reported its stop. Use its own stop button",
                 *left,
             )
     cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail

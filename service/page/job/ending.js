@@ -4,7 +4,8 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { hours, within } from "../lib/words.js";
-import { eyeWords, isHard } from "./eye_words.js";
+import { eyeWords, isFine, isHard } from "./eye_words.js";
+import { unfold } from "./fold.js";
 import { likenessOf, millSeconds } from "./figures.js";
 import { knownMills, sendLink } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
@@ -50,13 +51,14 @@ function words(job, artifacts, toMill, mills) {
   const [program, mill] = [toMill[0], mills[0]];
   const send = program && mill && sendLink(job, program, mill, { alone: mills.length === 1, first: true });
   const steps = [
-    [isMilled, t("Mill it"), share, !isMilled && [send, jump("#programs-title", t("Programs")), sheet && sheetLink(sheet, t("Setup sheet"))]],
-    finish && [false, t("Finish it by hand"), hours(60 * finish.minutes), [jump("#finishing-title", t("How"))]],
-    artifacts.has("heightfield.npz") && [false, t("Shine light through it"), t("a photograph says what is off"), [jump("#photo-title", t("Photograph"))]],
+    [isMilled, t("Mill it"), share, !isMilled && [send, jump(".programs-part", t("Programs")), sheet && sheetLink(sheet, t("Setup sheet"))]],
+    finish && [false, t("Finish it by hand"), hours(60 * finish.minutes), [jump(".finishing-part", t("How"))]],
+    artifacts.has("heightfield.npz") && [false, t("Shine light through it"), t("a photograph says what is off"), [jump(".photo-part", t("Photograph"))]],
   ];
   const better = h("a", { href: `#/new?from=${job.id}&show=more` }, t("What would show more?"));
   const title = isMilled ? t("Your lens is milled") : t("Your lens is ready to mill");
-  return [h("h2", { id: "ending-title" }, title), seen !== undefined && h("p", {}, t`On the wall: ${eyeWords(seen)}. `, !isMilled && isHard(seen) && better), h("ol", {}, steps.filter(Boolean).map(step))];
+  const isGood = isFine(seen), line = isGood ? t`A fine lens: ${eyeWords(seen)}.` : t`On the wall: ${eyeWords(seen)}. `;
+  return [h("h2", { id: "ending-title" }, title), seen !== undefined && h("p", { class: isGood ? "fine" : "" }, line, !isMilled && isHard(seen) && better), h("ol", {}, steps.filter(Boolean).map(step))];
 }
 
 function shareWords(milled, all, time) {
@@ -68,8 +70,12 @@ function step([done, what, more, links]) {
   return h("li", {}, h("strong", {}, what), " ", done ? mark("good", t("done")) : h("span", { class: "dim" }, more), h("div", { class: "row" }, links));
 }
 
-/** A button to a part farther down. */
+/** A button that unfolds a part farther down. */
 function jump(to, words) {
-  const go = () => document.querySelector(to)?.scrollIntoView({ block: "center" });
+  const go = () => {
+    const part = document.querySelector(to);
+    unfold(part);
+    part.scrollIntoView();
+  };
   return h("button", { type: "button", onclick: go }, words);
 }

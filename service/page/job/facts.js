@@ -3,20 +3,21 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
+import { fold, unfold } from "./fold.js";
 import { expertFigures, expertSides, headlines, lightSentence, mainCause } from "./figures.js";
-import { predictedPsnr } from "./prediction.js";
+import { predictedLikeness } from "./prediction.js";
 
 /** {node, update(job)} */
 export function factsPart() {
   const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
   const wait = h("p", { class: "dim soon" }, t("Figures appear as the steps finish."));
-  const title = h("h2", { id: "facts-title" }, t("What to expect")), scores = h("div"), light = h("p", { class: "dim" });
+  const scores = h("div"), light = h("p", { class: "dim" });
   const experts = h("details", { hidden: true }, h("summary", {}, t("Figures for experts")), scores, light, cause);
-  const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, experts);
+  const node = fold("expect", t("What to expect"), wait, list, experts);
   let shown = "";
 
   function update(job) {
-    const rows = headlines(job.spec, job.report, predictedPsnr(job)), figures = expertFigures(job.report);
+    const rows = headlines(job.spec, job.report, predictedLikeness(job)), figures = expertFigures(job.report);
     const key = JSON.stringify([rows, figures]);
     if (key === shown) return;
     shown = key;
@@ -44,9 +45,9 @@ function row([what, figure, words]) {
 /** {node, update(job)}: the report's warnings; nothing if there are none. */
 export function warningsPart() {
   const list = h("div", { class: "stack" });
-  const title = h("h2", { id: "warnings-title" }, t("Look out for"));
-  const node = h("section", { class: "card warnings", "aria-labelledby": "warnings-title", hidden: true }, title, list);
+  const node = fold("warnings", t("Look out for"), list);
   let shown = "";
+  unfold(node);
 
   function update(job) {
     const texts = job.report?.warnings ?? [], key = texts.join("\n");

@@ -5,6 +5,7 @@ import { t } from "../lib/language.js";
 import { mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf, programRows } from "./figures.js";
+import { fold } from "./fold.js";
 import { PICTURES } from "./report_pictures.js";
 import { saveLink, sheetLink, sheetOf } from "./save.js";
 
@@ -26,8 +27,7 @@ export function programsPart() {
   const wait = h("p", { class: "dim" });
   const setUp = h("a", { href: "#/machines" }, t("set one up"));
   const noMill = h("p", { hidden: true }, t("No mill is known here yet: "), setUp, t(", or save the programs."));
-  const title = h("h2", { id: "programs-title" }, t("Programs"));
-  const node = h("section", { class: "card", "aria-labelledby": "programs-title" }, title, wait, list, noMill);
+  const node = fold("programs", t("Programs"), wait, list, noMill);
   let shown = "", mills = null;
 
   async function update(job) {
@@ -101,8 +101,7 @@ export function filesPart() {
   const every = h("ul", { class: "files" });
   const all = h("details", {}, h("summary", {}, t("Every file")), every);
   const archive = h("p", {});
-  const title = h("h2", { id: "files-title" }, t("Files"));
-  const node = h("section", { class: "card", "aria-labelledby": "files-title", hidden: true }, title, list, archive, all);
+  const node = fold("files", t("Files"), list, archive, all);
   let shown = "";
 
   function update(job, artifacts) {

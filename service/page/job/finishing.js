@@ -4,14 +4,14 @@ import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm } from "../lib/words.js";
 import { eyeWords } from "./eye_words.js";
+import { fold } from "./fold.js";
 import { likenessOf } from "./figures.js";
 
 const WORTH_DB = 0.3;
 
 /** {node, update(job)}; the card is shown only if the job has a finish. */
 export function finishingPart() {
-  const title = h("h2", { id: "finishing-title" }), body = h("div", { class: "stack" });
-  const node = h("section", { class: "card finishing", "aria-labelledby": "finishing-title", hidden: true }, title, body);
+  const body = h("div", { class: "stack" }), node = fold("finishing", "", body), title = node.querySelector("h2");
   let shown = "";
 
   function update(job) {
@@ -63,7 +63,7 @@ function howTo(finishing, atRims) {
   const list = (tag, sentences) => h(tag, {}, sentences.map((words) => h("li", {}, words)));
   const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
   return h(
-    "details", { open: true }, h("summary", {}, t("How to do it")),
+    "div", {},
     part(t("You need"), finishing.needs.length > 0 && list("ul", finishing.needs)),
     part(t("Steps"), list("ol", finishing.steps)),
     atRims && h("p", {}, atRims),

@@ -12,7 +12,7 @@ import { settingWords } from "./setting_words.js";
 export function headPart(app, changed) {
   const title = h("h1"), state = h("span", { class: "job-state" }), about = h("p", { class: "job-about dim" });
   const actions = h("div", { class: "row job-actions" }), notice = h("div", { role: "status" });
-  const node = h("header", { class: "job-head" }, h("div", { class: "job-title" }, title, state), about, actions, notice);
+  const node = h("header", { class: "job-head" }, h("div", {}, h("div", { class: "job-title" }, title, state), about), actions, notice);
   let shown = "";
 
   function update(job) {

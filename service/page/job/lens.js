@@ -5,6 +5,7 @@ import { t } from "../lib/language.js";
 import { mm } from "../lib/words.js";
 import { surfaceOf } from "./drawing_file.js";
 import { screenOf } from "./figures.js";
+import { fold } from "./fold.js";
 import { heightPicture } from "./height_map.js";
 import { lensPicture } from "./lens_gl.js";
 import { lensStage } from "./lens_stage.js";
@@ -22,10 +23,9 @@ export function lensPart() {
   const mapBox = h("figure", { class: "lens-half" }, caption, map, scale, reading);
   const bodyBox = h("figure", { class: "lens-half" });
   const box = h("div", { class: "lens-halves" }, bodyBox, mapBox);
-  const title = h("h2", { id: "lens-title" }, t("Lens"));
-  const node = h("section", { class: "card", "aria-labelledby": "lens-title", hidden: true }, title, box);
+  const node = fold("lens", t("Lens"), box);
   let wanted = null, known = "", grid = null, stage = null, spec = null, picture = null, hung = "";
-  const stop = whenSeen(node, load, (seen) => stage?.seen(seen));
+  const stop = whenSeen(box, load, (seen) => stage?.seen(seen));
 
   async function load() {
     await loadSurface();

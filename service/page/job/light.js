@@ -5,6 +5,7 @@ import { t } from "../lib/language.js";
 import { mm } from "../lib/words.js";
 import { lightOf } from "./drawing_file.js";
 import { focusSentence, isSharpened } from "./figures.js";
+import { fold } from "./fold.js";
 import { gestures } from "./gestures.js";
 import { beamCount, beamsOf, lightPicture, settingOf } from "./light_gl.js";
 import { whenSeen } from "./when_seen.js";
@@ -32,10 +33,10 @@ export function lightPart() {
   const rows = h("div", { class: "light-rows" });
   const tools = h("div", { class: "row" }, which, fine, h("button", { type: "button", onclick: () => reset() }, t("Set all back")));
   const live = h("div", { class: "light-live" }, canvas, h("div", { class: "stack" }, tools, words, rows, note));
-  const node = h("section", { class: "card", "aria-labelledby": "light-title", hidden: true }, h("h2", { id: "light-title" }, t("Light")), still, live);
+  const node = fold("light", t("Light"), still, live);
   let files = new Map(), job = null, chosen = false, known = "", lens = null, picture = null, setting = null, sliders = [];
   let frame = 0, last = 0, cells = FIRST_CELLS, moved = false, pending = null, gone = false;
-  const seen = whenSeen(node, load, () => ask());
+  const seen = whenSeen(live, load, () => ask());
 
   async function load() {
     const file = files.get(which.value);

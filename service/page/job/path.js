@@ -3,6 +3,7 @@ import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { bytes, hours, mm, passName } from "../lib/words.js";
+import { fold } from "./fold.js";
 import { openPath } from "./path_file.js";
 import { pathView } from "./path_view.js";
 import { whenSeen } from "./when_seen.js";
@@ -35,11 +36,10 @@ export function pathPart() {
     h("div", { class: "row spread" }, place, h("label", { class: "tick" }, rapids, t("Show moves in the air"))),
     h("ul", { class: "path-legend" }, kinds), note,
   );
-  const title = h("h2", { id: "path-title" }, t("Tool path"));
-  const node = h("section", { class: "card", "aria-labelledby": "path-title", hidden: true }, title, passes, body);
+  const node = fold("path", t("Tool path"), passes, body);
   let view = null, file = null, chosen = "", offered = "", outline = [], playing = 0, freed = false;
   const files = new Map();
-  const stop = whenSeen(node, load, (seen) => !seen && play(false));
+  const stop = whenSeen(body, load, (seen) => !seen && play(false));
   range.addEventListener("input", () => (play(false), at()));
 
   async function load() {

@@ -217,9 +217,6 @@ function depthOf(head) {
 /** Colours of the drawing as shares of 1, from the page's style. */
 function coloursOf(node) {
   const style = getComputedStyle(node);
-  const share = (name) => {
-    const digits = style.getPropertyValue(`--path-${name}`).trim().slice(1);
-    return [0, 2, 4].map((k) => parseInt(digits.slice(k, k + 2), 16) / 255);
-  };
+  const share = (name) => style.getPropertyValue(`--path-${name}`).match(/[\d.]+/g).slice(0, 3).map((part) => Number(part) / 255);
   return { deep: share("deep"), high: share("high"), coming: share("coming"), rapid: share("rapid") };
 }

@@ -3,6 +3,7 @@ import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { photograph } from "../lib/photograph.js";
 import { jobName, sentence } from "../lib/words.js";
+import { fold } from "./fold.js";
 
 const INTRO = t("Photograph the lens's light in a dark room, all of it and some dark wall around, not too bright; the answer says what is off.");
 const NEEDS = ["heightfield.npz", "map.npz"]; // there once the lens is made
@@ -15,11 +16,7 @@ export function photoPart() {
     lines: (answer) => answer.findings.map((one) => sentence(one.text)),
     alt: () => t`The photograph, straightened, beside the prediction for ${jobName(job)}, and their difference`,
   });
-  const node = h(
-    "section", { class: "card job-photo", "aria-labelledby": "photo-title", hidden: true },
-    h("h2", { id: "photo-title" }, t("Photograph of the wall")),
-    h("p", { class: "dim" }, INTRO), h("div", { class: "row" }, photo.button), photo.node,
-  );
+  const node = fold("photo", t("Photograph of the wall"), h("p", { class: "dim" }, INTRO), h("div", { class: "row" }, photo.button), photo.node);
   return {
     node,
     update(next, artifacts) {

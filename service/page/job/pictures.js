@@ -6,7 +6,9 @@ import { api } from "../lib/api.js";
 import { freshId, h, replace } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
+import { fold } from "./fold.js";
 import { PICTURES } from "./report_pictures.js";
+import { whenSeen } from "./when_seen.js";
 import { wipe } from "./wipe.js";
 
 const shownAs = (where) =>
@@ -36,17 +38,22 @@ export function picturesPart() {
   const left = chooser(t("Left"), () => draw()), right = chooser(t("Right"), () => draw());
   const compared = h("div", {}, both.node, h("div", { class: "wipe-choice" }, left.node, right.node));
   const wait = h("p", { class: "dim soon" }, t("The pictures appear here as they are made."));
-  const title = h("h2", { id: "pictures-title" }, t("Pictures"));
-  const node = h("section", { class: "card", "aria-labelledby": "pictures-title" }, title, wait, compared, row, others);
-  let there = [], key = "";
+  const body = h("div", {}, compared, row, others), node = fold("pictures", t("Pictures"), wait, body);
+  let there = [], key = "", files = new Map();
+  const seen = whenSeen(body, load);
 
-  async function update(artifacts) {
+  function update(artifacts) {
+    files = artifacts;
+    wait.hidden = ON_THE_WALL.some(({ name }) => artifacts.has(name));
+    seen.again();
+  }
+  async function load() {
+    const artifacts = files;
     const made = (kinds) => kinds.map((kind) => ({ ...kind, file: artifacts.get(kind.name) })).filter(({ file }) => file);
     const found = made(ON_THE_WALL), further = made(BY_THEMSELVES);
     const next = [...found, ...further].map(({ file }) => file.sha256).join();
     if (next === key && key) return;
     key = next;
-    wait.hidden = found.length > 0;
     compared.hidden = found.length < 2;
     try {
       there = await loaded(found);
@@ -67,7 +74,7 @@ export function picturesPart() {
     if (!sides[0] || !sides[1]) return;
     both.show(...sides.map(({ title, url, note }) => ({ words: title, url, alt: `${title}: ${note}` })));
   }
-  return { node, update, free: shelf.free };
+  return { node, update, free: () => (seen.end(), shelf.free()) };
 }
 
 function figure({ title, note, url }) {

@@ -11,6 +11,7 @@ import { follow } from "../lib/sse.js";
 import { endingPart } from "./ending.js";
 import { factsPart, warningsPart } from "./facts.js";
 import { passesOf, screenOf } from "./figures.js";
+import { unfold } from "./fold.js";
 import { filesPart, programsPart } from "./files.js";
 import { finishingPart } from "./finishing.js";
 import { headPart } from "./head.js";
@@ -22,6 +23,7 @@ import { picturesPart } from "./pictures.js";
 import { planPart } from "./plan.js";
 import { progressPart } from "./progress.js";
 
+const CONTENTS = ["progress", "warnings", "pictures", "light", "facts", "programs", "plan", "finishing", "lens", "path", "photo", "files"];
 const GATHER_MS = 120;
 const POSITION_MS = 4000; // a queue moves on without events of this job
 const CLOCK_MS = 10_000; // after which times in words are said anew
@@ -39,7 +41,7 @@ export default async function view(root, params, app) {
 
   function show() {
     const { job, artifacts, live, link } = watched;
-    root.firstChild?.classList.toggle("ended", ["failed", "cancelled"].includes(job.state));
+    if (root.firstChild) root.firstChild.dataset.state = job.state;
     parts.head.update(job);
     parts.progress.update(job, live, link);
     parts.ending.update(job, artifacts);
@@ -101,6 +103,7 @@ export default async function view(root, params, app) {
   const back = api.onAway((away) => !away && refresh());
 
   replace(root, layout(parts, first.spec));
+  for (const name of ["pictures", "facts", "programs"]) unfold(parts[name].node, first.state !== "succeeded"); // they are watched as they come
   show();
   if (isGoing(first)) listen();
   await load();
@@ -128,13 +131,10 @@ function makeParts(app, changed) {
 /** The parts in their places; pictures that come later find theirs kept free, so that nothing jumps. */
 function layout(parts, spec) {
   const screen = screenOf(spec), { width_mm: width, height_mm: height } = spec.optics;
-  const column = (...names) => h("div", { class: "stack" }, names.map((name) => parts[name].node));
   return h(
     "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
-    parts.head.node, parts.ending.node, parts.progress.node,
-    h("div", { class: "job-columns job-results" }, column("pictures"), column("facts", "warnings", "programs")),
-    parts.light.node, parts.plan.node,
-    parts.lens.node, parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,
+    parts.head.node, parts.ending.node,
+    h("div", { class: "job-parts" }, CONTENTS.map((name) => parts[name].node)),
   );
 }
 

@@ -4,6 +4,7 @@ import { api } from "../lib/api.js";
 import { confirm } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { at } from "../lib/root.js";
 import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
@@ -24,7 +25,7 @@ const SORTS = {
   old: [t("Oldest first"), (a, b) => NEWEST(b, a)],
   name: [t("By name"), (a, b) => jobName(a).localeCompare(jobName(b), [], { numeric: true, sensitivity: "base" })],
 };
-const WHAT = t(": you get the programs that mill a clear block, and light through that block paints the picture on a wall.");
+const WHAT = t(": your mill cuts it into a clear block, and light through that block paints it on the wall.");
 const BUSY_MS = 1500;
 const CALM_MS = 6000;
 const PAGE = 48;
@@ -43,7 +44,8 @@ export default async function view(root, params, app) {
   const begin = h("section", { "aria-label": t("New job") });
   const tools = toolbar(asked, list);
   const status = h("p", { class: "hidden-words", role: "status" });
-  replace(root, h("h1", {}, t("Jobs")), begin, tools.node, list.element, list.empty, list.more, status);
+  const title = h("h1", {}, t("Jobs"));
+  replace(root, title, begin, tools.node, list.element, list.empty, list.more, status);
 
   let compact = null;
   list.onChange = ({ known, shown, active }) => {
@@ -52,11 +54,20 @@ export default async function view(root, params, app) {
     write(status, shown === 0 ? t("No jobs") : shown === 1 ? t`${shown} job shown, ${active} not finished` : t`${shown} jobs shown, ${active} not finished`);
     if (compact === !nothing) return;
     compact = !nothing;
+    title.className = nothing ? "hidden-words" : "";
     const words = invitation(nothing ? WHAT : t(" for a new job"));
-    replace(begin, dropPlace({ words, onFile: take, compact }), nothing && gallery(take));
+    replace(begin, nothing ? h("div", { class: "room" }, dropPlace({ words, onFile: take, more: gallery(take) }), room()) : dropPlace({ words, onFile: take, compact }));
   };
   await list.start();
   return { leave: list.close };
+}
+
+/** A lens in a dark room, and its light on the wall, which moves into focus: docs/draw_focus.py computes it. */
+function room() {
+  const picture = (name) => at(`/page/jobs/${name}.avif`);
+  const still = h("source", { media: "(prefers-reduced-motion: reduce)", srcset: picture("focus-still") });
+  const light = h("img", { src: picture("focus"), alt: t("The light of a milled lens on a wall: an astronaut, smiling"), width: 416, height: 416 });
+  return h("div", { class: "room-scene" }, h("span", { class: "room-beam" }), h("picture", {}, still, light), h("span", { class: "room-lens" }));
 }
 
 function addressOf(asked) {

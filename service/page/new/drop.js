@@ -6,8 +6,9 @@ import { t } from "../lib/language.js";
 
 const KINDS = "image/png,image/jpeg,image/webp,image/tiff,image/bmp,image/gif,.tif,.tiff";
 
-/** An element that calls onFile(File). `words`: what to do, in one sentence. */
-export function dropPlace({ words, onFile, compact = false }) {
+/** An element that calls onFile(File). words: what to do, in one sentence; more: what stands there, too.
+ * @param {{words: string, onFile: (file: File) => void, compact?: boolean, more?: any}} options */
+export function dropPlace({ words, onFile, compact = false, more }) {
   const take = (files) => {
     const file = [...files].find(isPicture);
     if (file) onFile(file);
@@ -41,6 +42,7 @@ export function dropPlace({ words, onFile, compact = false }) {
     ),
     chosen,
     photographed,
+    more,
   );
   receive(place, take);
   return place;

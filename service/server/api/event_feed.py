@@ -22,6 +22,7 @@ from service.server.database.jobs import JobBook
 from service.server.database.records import JobEvent, News, Progress, UnknownJobError
 
 _POLL_S = 0.25
+_MOST_FOLLOWERS = 500
 _AFTER_ERROR_S = 2.0
 _MOST_WAITING = 12 * BATCH  # more than one poll brings at most
 _log = structlog.get_logger("api")
@@ -38,12 +39,11 @@ class Follower(Reader):
 
 
 class Feed:
-    """All followers of this process. `most` bounds them."""
+    """All followers of this process."""
 
-    def __init__(self, book: JobBook, *, most: int = 500, poll_s: float = _POLL_S) -> None:
+    def __init__(self, book: JobBook) -> None:
         self._book = book
-        self._poll_s = poll_s
-        self._hub: Hub[Follower] = Hub(readers=most)
+        self._hub: Hub[Follower] = Hub(readers=_MOST_FOLLOWERS)
         self._wake = asyncio.Event()
         self._poller: asyncio.Task[None] | None = None
 
@@ -96,7 +96,7 @@ class Feed:
         while self._hub.readers:
             self._wake.clear()
             asked = self._list_wanted()
-            wait_s = self._poll_s
+            wait_s = _POLL_S
             try:
                 found = await asyncio.to_thread(self._book.read_news, asked)
             except (SQLAlchemyError, OSError) as error:
@@ -105,7 +105,7 @@ class Feed:
             else:
                 whole = len(found.events) < MOST_NEWS
                 self._hand_out(asked, found, whole=whole)
-                wait_s = self._poll_s if whole else 0.0
+                wait_s = _POLL_S if whole else 0.0
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), wait_s)
 

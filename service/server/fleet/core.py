@@ -75,23 +75,23 @@ class FleetCore(AgentLinks):
     async def find_link(self, run: RunRow) -> AgentLink:
         """Return the link to the agent that has this run."""
         try:
-            return self.known_link(run.machine) or self.get_link(await self.find_machine(run.machine))
+            return self.get_known_link(run.machine) or self.get_link(await self.find_machine(run.machine))
         except Problem as gone:
             raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 
-    async def look_at(self, run: RunRow, *, timeout_s: float = ASK_S) -> RunRow:
+    async def look_at(self, run: RunRow) -> RunRow:
         """Return the run as its agent has it now; store it if that is new."""
-        run = await self._look_at(replace(run, away=None), timeout_s=timeout_s)
+        run = await self._look_at(replace(run, away=None))
         (self.live_runs.add if run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
         return run
 
-    async def _look_at(self, run: RunRow, *, timeout_s: float) -> RunRow:
+    async def _look_at(self, run: RunRow) -> RunRow:
         self.remember(run)
         if run.agent_run is None or (run.state == FINISHED and not run.open) or run.state == LOST:
             return run
         try:
             link = await self.find_link(run)
-            view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s), run.machine)
+            view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=ASK_S), run.machine)
         except AgentAwayError as away:
             return replace(run, away=away.problem())
         except Problem as problem:

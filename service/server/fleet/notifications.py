@@ -104,9 +104,7 @@ def _trouble_of(machine: MachineView) -> str:
     return _TROUBLE.get(mill.get("state", ""), "")
 
 
-async def watch_mills(
-    fleet: Fleet, send: Callable[[Notification], Awaitable[None]], *, every_s: float = LOOK_S
-) -> None:
+async def watch_mills(fleet: Fleet, send: Callable[[Notification], Awaitable[None]]) -> None:
     """Send notifications until the server ends. A look that fails is skipped."""
     watch = MillWatch()
     while True:
@@ -116,7 +114,7 @@ async def watch_mills(
                 await send(one)
         except Exception as error:  # the database is away, or an agent talks nonsense
             _log.warning("mills were not looked at", error=printable(str(error))[:200])
-        if await fleet.await_end(every_s):
+        if await fleet.await_end(LOOK_S):
             return
 
 

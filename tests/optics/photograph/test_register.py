@@ -91,8 +91,7 @@ def test_what_is_white_in_the_photograph_neither_pulls_nor_is_believed(seed: int
     assert found.clipped_share > 0.3
     assert missed_px(found.homography, shot) < 0.5
     assert found.confidence == 1.0
-    off = (found.rectified - found.fitted)[found.usable]
-    assert np.sqrt(np.mean(off**2)) < 0.1
+    assert found.residual * predicted(seen).std() < 0.1
 
 
 def test_the_rectified_photograph_is_the_prediction_in_its_own_units() -> None:

@@ -11,6 +11,7 @@ from playwright.sync_api import Route, expect
 
 from tests.page.conftest import Opened
 from tests.page.form import choose, fill, make_it, picture
+from tests.page.jobs import unfold
 from tests.page.shop import JOB_MS, Shop
 
 AWAY = (r"net::ERR_", r"status of 50[234]")
@@ -80,6 +81,7 @@ def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: O
     shop.kill_api()
     expect(words).to_contain_text("Worked out", timeout=JOB_MS)
     expect(page.locator(".job-state")).to_have_text("done")
+    page.locator("#pictures-title").scroll_into_view_if_needed()
     expect(page.get_by_role("img", name="As milled: with all marks of the tool").last).to_be_visible()
     expect(page.locator(".facts")).to_contain_text("will blur")
     expect(page.locator(".programs li")).to_have_count(2)
@@ -96,12 +98,14 @@ def test_files_are_whole_with_a_token_and_without(opened: Opened, shop: Shop) ->
 
     for key in ("", "Ada"):
         page = opened(f"#/jobs/{job['id']}", key=key)
+        unfold(page)
         page.evaluate("delete window.showSaveFilePicker")
         with page.expect_download() as download:
             page.locator(".programs").get_by_role("link", name="Save").first.click()
         assert download.value.suggested_filename == program["name"]
         assert sha256(download.value.path()) == program["sha256"]
     page = opened(f"#/jobs/{job['id']}", key="Ada")
+    unfold(page)
     page.evaluate("""() => {
         window.pieces = [];
         window.showSaveFilePicker = async () => ({createWritable: async () => new WritableStream({

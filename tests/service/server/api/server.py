@@ -19,10 +19,12 @@ from PIL import Image
 
 from service.http.admission import Admission
 from service.http.hosts import bind_address, url_of
+from service.processes.kept_child import KeptChild
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
-from service.server.database.connection import begin_writing, connect, upgrade_schema
+from service.server.database.connection import begin_writing, connect
 from service.server.database.job_rows import Counter, add_to_counters, write_event
+from service.server.database.schema import upgrade_schema
 from service.server.database.tables import artifacts, jobs, stage_runs
 from service.settings import ServerSettings
 from tests.service import databases
@@ -82,6 +84,12 @@ class ApiServer:
         found = (path for path in self.services.settings.data.rglob("*") if path.is_file())
         names = {str(path.relative_to(self.services.settings.data)) for path in found}
         return {name for name in names if "sqlite" not in name and not name.endswith("guard")}
+
+
+def callers_of(child: KeptChild) -> set[str]:
+    """Return the callers that wait for an answer."""
+    with child._condition:
+        return {one.caller for one in (child._running, *child._waiting) if one is not None}
 
 
 @contextlib.contextmanager

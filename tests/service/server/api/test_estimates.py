@@ -19,7 +19,7 @@ from service.job.stages.order import StageOrder
 from service.processes.kernel_cache import ESTIMATES, ready_mark
 from service.server.api.intake.child_requests import Estimator
 from service.server.worker import stage_entry
-from tests.service.server.api.server import ApiServer, api_server, png, problem
+from tests.service.server.api.server import ApiServer, api_server, callers_of, png, problem
 from tests.service.server.api.test_estimating import STUB
 from tests.waiting import PATIENCE_S, until
 
@@ -90,7 +90,7 @@ def test_a_caller_s_windows_do_not_end_each_other_s(tmp_path: Path, monkeypatch:
 
         one, other = asked("one"), asked("other")
         until(lambda: server.services.estimates.child_pid is not None)
-        until(lambda: len(server.services.estimates.callers) == 2)
+        until(lambda: len(callers_of(server.services.estimates)) == 2)
         newer = asked("one")
         assert [answer.result().status_code for answer in (one, other, newer)] == [409, 200, 200]
 
@@ -107,12 +107,12 @@ def test_an_exact_estimate_ends_when_its_window_asks_for_another_or_goes(
             return server.client.post("/v1/estimates", files=files, params=query, headers=headers, timeout=wait_s)
 
         waiting = threads.submit(ask, "takes 600.png", exactly=True)
-        until(lambda: exactly.callers)
+        until(lambda: callers_of(exactly))
         assert ask("quick.png").json()["warnings"] == ["quick"]
         assert waiting.result().status_code == 409
         with pytest.raises(httpx.ReadTimeout):
             ask("takes 601.png", wait_s=1.0, exactly=True)
-        until(lambda: not exactly.callers)
+        until(lambda: not callers_of(exactly))
 
 
 def test_what_the_first_estimate_needs_can_be_compiled_before_it(estimating: ApiServer) -> None:

@@ -14,6 +14,7 @@ from service.errors import PictureError
 from service.http.problems import Problem
 from service.processes.kernel_cache import ESTIMATES, ready_mark
 from service.server.api.intake.child_requests import Estimator
+from tests.service.server.api.server import callers_of
 from tests.waiting import PATIENCE_S, until
 
 STUB = "tests.service.server.api.estimating_stub"
@@ -72,7 +73,7 @@ def test_it_is_made_ready_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ready_mark(ESTIMATES).touch()
     with closing(Estimator(module=STUB)) as estimator:
         estimator.prepare()
-        assert not estimator.callers
+        assert not callers_of(estimator)
 
 
 def test_too_many_callers_are_told_to_come_back(estimator: Estimator) -> None:
@@ -134,7 +135,7 @@ def test_what_takes_long_is_not_worked_on_when_nobody_waits_for_it(estimator: Es
     left = estimator.ask("ann", {"name": "takes 600"}, is_long=True)
     other = ask(estimator, "of bob", "bob")
     if is_started:
-        until(lambda: estimator.callers == {"ann", "bob"})
+        until(lambda: callers_of(estimator) == {"ann", "bob"})
     estimator.leave("ann")
     assert refusal(left).status == 409
     assert other.result(PATIENCE_S) == {"name": "of bob"}
