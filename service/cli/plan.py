@@ -20,7 +20,7 @@ from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
 from service.job.spec.lens_task import facts_of_light
-from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_job
+from service.job.spec.loading import default_layer, load_stored_spec, read_spec_file, resolve_job
 from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolve import ResolvedJob
 from service.job.spec.tools import load_tools
@@ -97,7 +97,7 @@ def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
     from service.job.picture.reading import read_picture
     from service.job.planning.preparation import aim_at_picture
 
-    job = _resolve_plan_job(request, {})
+    job = _resolve_plan_job(request, default_layer(file=request.spec, preset=None, overrides=request.overrides))
     spec = job.spec
     width_mm, height_mm = spec.optics.screen_size_mm
     picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)

@@ -159,24 +159,25 @@ def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_
     def answer(route: Route) -> None:
         spec = parts(route)[0]
         near = spec.get("optics", {}).get("throw_mm") == 10
-        thin = {"field": "spec.stock.thickness_mm", "detail": "it leaves 1 mm of the block", "use": 60}
+        thin = {"field": "spec.stock.margin_mm", "detail": "it leaves 1 mm of the block", "use": 60}
         if near:
             row = {"field": "spec.optics.throw_mm", "detail": "10 mm is too near", "use": 32}
             route.fulfill(**problem(422, detail="see there", problems=[row]))
         else:
-            route.fulfill(json=ESTIMATE_EXAMPLE | {"refusals": [] if "stock" in spec else [thin]})
+            route.fulfill(json=ESTIMATE_EXAMPLE | {"refusals": [] if spec["stock"]["margin_mm"] == 60 else [thin]})
 
     page.route("**/v1/estimates", answer)
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
-    bar, thickness = page.locator(".submit-bar"), page.get_by_label("Thickness")
-    expect(bar).to_contain_text("Such a lens cannot be made. Look at:Thickness")
+    bar, margin = page.locator(".submit-bar"), page.get_by_label("Margin around")
+    expect(bar).to_contain_text("Such a lens cannot be made. Look at:Margin around")
     expect(make_it(page)).to_be_disabled()
-    expect(thickness).to_be_hidden()
-    bar.get_by_role("button", name="Thickness").click()
-    expect(thickness).to_be_focused()
+    page.evaluate("for (const one of document.querySelectorAll('.fold')) one.open = false")
+    expect(margin).to_be_hidden()
+    bar.get_by_role("button", name="Margin around").click()
+    expect(margin).to_be_focused()
     page.get_by_role("button", name="Use 60 mm").click()
-    expect(thickness).to_have_value("60")
+    expect(margin).to_have_value("60")
     expect(make_it(page)).to_be_enabled()
     fill(page, Distance_to_the_wall="10")
     expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("10 mm is too near"))
