@@ -290,6 +290,29 @@ def test_who_comes_from_a_job_for_what_shows_more_is_led_there(opened: Opened, w
         assert page.evaluate("scrollY") == 0
 
 
+def test_what_is_worked_out_exactly_is_not_asked_again(opened: Opened) -> None:
+    """Back to values that were there before: their estimate is shown at once, until the cutters are others."""
+    page = open_blank(opened, "new")
+    asked: list[str] = []
+
+    def answer(route: Route) -> None:
+        exact = route.request.url.endswith("exactly=true")
+        width = parts(route)[0].get("optics", {}).get("width_mm", 100)
+        asked.append(f"{width} exactly" if exact else f"{width}")
+        route.fulfill(json=ESTIMATE_EXAMPLE | {"exact": exact, "hours": width / 10})
+
+    page.route(re.compile("/v1/estimates"), answer)
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    line = page.locator(".submit-bar .line").first
+    for width, hours in (("100", "10 h"), ("50", "5 h")):
+        fill(page, Width=width)
+        expect(line).to_have_text(re.compile(f"About {hours} of milling, details"))
+    fill(page, Width="100")
+    expect(line).to_have_text(re.compile("About 10 h of milling, details"))
+    assert asked == ["100", "100 exactly", "50", "50 exactly"]
+
+
 @pytest.mark.thorough
 def test_only_an_older_question_of_the_same_tab_is_ended(opened: Opened) -> None:
     """Each tab has a name of its own, by which the server knows it; a page that is loaded anew is another tab."""

@@ -537,7 +537,7 @@ def test_who_has_no_picture_begins_with_an_example_and_the_first_view_is_light(w
     assert 60_000 < page.evaluate(WEIGHT) <= 150_000
     examples.get_by_role("button", name="Logo").click()
     expect(wall(page)).to_be_visible()
-    expect(page.get_by_label("Name of the job")).to_have_value("logo")
+    expect(page.get_by_label("Name of the job")).to_have_value("Logo")
     expect(page.locator(".told")).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
 
 

@@ -134,7 +134,7 @@ function newJob(profiles, app, withMills) {
   const fold = (title, rows) => h("details", { class: "card fold", "aria-label": title }, h("summary", {}, title), rows);
   const pictureFold = fold(t("Picture"), side.tools), all = fold(t("All settings"), allSettings([...form.settings, [t("Queue"), priority.element]]));
   const shop = [
-    lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: changed })),
+    lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: () => (asks.forget(), changed()) })),
     lateCard(t("Your mills"), async () => (await import("./own_mills.js")).ownMills({ profiles, onChanged: withMills })),
     coupon.element,
   ];
