@@ -70,7 +70,7 @@ def describe_table(place: Place) -> str:
 
 def known_entries(place: Place) -> dict[str, dict[str, Any]]:
     """Return the JSON schema of each key of the table at a place of the spec."""
-    return (_schema_at(place) or {}).get("properties", {})  # type: ignore[no-any-return]
+    return (_schema_at(place) or {}).get("properties", {})
 
 
 def _sentence(detail: ErrorDetails) -> Phrase:
