@@ -46,6 +46,21 @@ class Moves(Protocol):
     def __len__(self) -> int: ...
 
 
+class Mill(Protocol):
+    """What a profile says of a mill's motion. planner_blocks: without the slot that is always free, as `$I` reports"""
+
+    @property
+    def max_rate_mm_per_min(self) -> tuple[float, float, float]: ...
+    @property
+    def acceleration_mm_per_s2(self) -> tuple[float, float, float]: ...
+    @property
+    def junction_deviation_mm(self) -> float: ...
+    @property
+    def planner_blocks(self) -> int: ...
+    @property
+    def lines_per_s(self) -> float: ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kinematics:
     """Limits of a mill's axes and its controller.
@@ -61,6 +76,17 @@ class Kinematics:
     planner_blocks: int
     lines_per_s: float
     bytes_per_s: float | None = None
+
+    @classmethod
+    def of(cls, mill: Mill, *, bytes_per_s: float | None = None) -> Kinematics:
+        return cls(
+            max_rate_mm_per_min=mill.max_rate_mm_per_min,
+            acceleration_mm_per_s2=mill.acceleration_mm_per_s2,
+            junction_deviation_mm=mill.junction_deviation_mm,
+            planner_blocks=mill.planner_blocks + 1,
+            lines_per_s=mill.lines_per_s,
+            bytes_per_s=bytes_per_s,
+        )
 
     def __post_init__(self) -> None:
         limits = (*self.max_rate_mm_per_min, *self.acceleration_mm_per_s2, self.junction_deviation_mm, self.lines_per_s)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from cam.cutters import BALL, CutterShape, cutter_shape
 from cam.errors import PassValueError
-from cam.materials import PMMA, Material
+from cam.materials import PMMA
 from phrases.phrase import Phrase
 
 Strategy = Literal["raster", "contour"]
@@ -159,14 +159,11 @@ def ball_pass(
     pitch_mm: float,
     stock_to_leave_mm: float,
     step_down_mm: float,
-    material: Material = PMMA,
-    link: Link = "u-turn",
 ) -> PassSpec:
-    """Return a pass whose speeds come from the material's start values."""
-    start = material.start_values(radius_mm)
+    """Return a pass with the start values of PMMA for its speeds."""
+    start = PMMA.start_values(radius_mm)
     return PassSpec(
         name=name,
-        link=link,
         radius_mm=radius_mm,
         pitch_mm=pitch_mm,
         stock_to_leave_mm=stock_to_leave_mm,
@@ -177,51 +174,19 @@ def ball_pass(
     )
 
 
-def paper_passes(material: Material = PMMA, *, link: Link = "u-turn") -> tuple[PassSpec, ...]:
-    """Return the paper's three passes (section 4): radii and pitches 3/0.5, 0.5/0.05, 0.5/0.02 mm.
+PAPER_PASSES = (
+    ball_pass("rough", radius_mm=3.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.5),
+    ball_pass("semi-finish", radius_mm=0.5, pitch_mm=0.05, stock_to_leave_mm=0.03, step_down_mm=0.4),
+    ball_pass("finish", radius_mm=0.5, pitch_mm=0.02, stock_to_leave_mm=0.0, step_down_mm=0.1),
+)
+"""The paper's three passes (section 4): radii and pitches 3/0.5, 0.5/0.05, 0.5/0.02 mm.
 
-    What each leaves and its step-down are ours. A normal engagement is what the pass before left, on a slope
-    divided by its cosine: 0.2 / 0.89 and 0.03 / 0.89 mm at slope 0.5. Deeper spots get layers of their own.
-    """
-    return (
-        ball_pass(
-            "rough",
-            radius_mm=3.0,
-            pitch_mm=0.5,
-            stock_to_leave_mm=0.2,
-            step_down_mm=1.5,
-            material=material,
-            link=link,
-        ),
-        ball_pass(
-            "semi-finish",
-            radius_mm=0.5,
-            pitch_mm=0.05,
-            stock_to_leave_mm=0.03,
-            step_down_mm=0.4,
-            material=material,
-            link=link,
-        ),
-        ball_pass(
-            "finish",
-            radius_mm=0.5,
-            pitch_mm=0.02,
-            stock_to_leave_mm=0.0,
-            step_down_mm=0.1,
-            material=material,
-            link=link,
-        ),
-    )
-
-
-def draft_passes(material: Material = PMMA) -> tuple[PassSpec, ...]:
-    """Return two quick passes with one 3 mm ball: half a day's picture, not the paper's."""
-    return (
-        ball_pass("rough", radius_mm=3.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.5, material=material),
-        ball_pass("finish", radius_mm=3.0, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4, material=material),
-    )
-
-
-PAPER_PASSES = paper_passes()
-DRAFT_PASSES = draft_passes()
+What each leaves and its step-down are ours. A normal engagement is what the pass before left, on a slope divided by its
+cosine: 0.2 / 0.89 and 0.03 / 0.89 mm at slope 0.5. Deeper spots get layers of their own.
+"""
+DRAFT_PASSES = (
+    ball_pass("rough", radius_mm=3.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.5),
+    ball_pass("finish", radius_mm=3.0, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4),
+)
+"""Two quick passes with one 3 mm ball: half a day's picture, not the paper's."""
 PRESETS = {"paper": PAPER_PASSES, "draft": DRAFT_PASSES}

@@ -26,7 +26,7 @@ from cam.rows.raster import (
     Rows,
     climbs_rightward,
     continuous_rows,
-    sampled_rows,
+    sample_rows,
     separate_rows,
     turn_block,
     turn_lens,
@@ -293,7 +293,7 @@ def _polylines(
         yield from contour_path(heightfield, surface, spec, rule, on_progress=report)
         return
     if isinstance(surface, RoughSurface):
-        polylines = sampled_rows(surface, rows, rule.sag_mm)
+        polylines = sample_rows(surface, rows, rule.sag_mm)
     elif spec.link == "u-turn":
         polylines = continuous_rows(surface, rows, rule)
     else:

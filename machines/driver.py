@@ -304,6 +304,25 @@ class Jog:
 
 
 @dataclass(frozen=True, slots=True)
+class Leg:
+    """A straight way to a place in machine coordinates. It changes Z alone, or X and Y alone."""
+
+    to_mm: Triple
+    feed_mm_per_min: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Travel:
+    """Jog along these legs, each from standstill to standstill; the first that does not arrive is the last.
+
+    name : in words, for the log
+    """
+
+    name: Phrase
+    legs: tuple[Leg, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class JogCancel:
     """Stop a jog, keeping the position."""
 
@@ -387,8 +406,8 @@ class SendBlock:
 
 
 Command = (
-    Home | Unlock | Reset | Jog | JogCancel | ProbeZ | ProbeCorner | SetZero | TrustPosition | Override | CheckMode
-    | ReadSettings | SendBlock
+    Home | Unlock | Reset | Jog | Travel | JogCancel | ProbeZ | ProbeCorner | SetZero | TrustPosition | Override
+    | CheckMode | ReadSettings | SendBlock
 )  # fmt: skip
 
 
@@ -396,7 +415,8 @@ Require = Callable[[], None]
 """Raises MachineError if an order may not be carried out any more.
 
 A driver calls it when everything else is done and only the write of the order's first bytes is left: no disk, no lock,
-no wait comes between. It calls it once more after the write, and holds the mill where a stop came in that moment.
+no wait comes between. It calls it once more after the write, and holds the mill where a stop came in that moment. Of a
+`Travel` it calls it before each leg.
 """
 
 

@@ -71,10 +71,14 @@ class BadValueError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """`take` returns the value to keep, or raises ValueError or TypeError; `allowed` describes the allowed values."""
+    """`take` returns the value to keep, or raises ValueError or TypeError; `allowed` describes the allowed values.
+
+    limits : least and greatest number, where the value is one or several
+    """
 
     take: Callable[[Any], Any]
     allowed: str
+    limits: tuple[float, float] = (-math.inf, math.inf)
 
 
 class Rules:
@@ -93,6 +97,9 @@ class Rules:
     @property
     def keys(self) -> tuple[str, ...]:
         return tuple(self._rules)
+
+    def limits(self, key: str) -> tuple[float, float]:
+        return self._rules[key].limits
 
     def check(self, key: str, value: object, prefix: str) -> Any:
         rule = self._rules.get(key)
@@ -116,7 +123,7 @@ def number(low: float, high: float, unit: str = "") -> Rule:
     allowed = Phrase("a number from {low:g} to {high:g}", low=low, high=high)
     if unit:
         allowed = Phrase("a number from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
-    return Rule(lambda value: _number(low, high, value), allowed)
+    return Rule(lambda value: _number(low, high, value), allowed, (low, high))
 
 
 def triple(low: float, high: float, unit: str) -> Rule:
@@ -126,7 +133,7 @@ def triple(low: float, high: float, unit: str) -> Rule:
         return tuple(_number(low, high, v) for v in value)
 
     allowed = Phrase("three numbers [X, Y, Z] from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
-    return Rule(take, allowed)
+    return Rule(take, allowed, (low, high))
 
 
 def pair(low: float, high: float, unit: str) -> Rule:
@@ -148,7 +155,7 @@ def whole(low: int, high: int) -> Rule:
             raise ValueError
         return value
 
-    return Rule(take, Phrase("a whole number from {low} to {high}", low=low, high=high))
+    return Rule(take, Phrase("a whole number from {low} to {high}", low=low, high=high), (low, high))
 
 
 def one_of(*values: object) -> Rule:

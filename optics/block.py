@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
@@ -68,6 +69,7 @@ def scatter(irradiance: Array, haze: float, sigma_px: tuple[float, float]) -> Ar
     return np.asarray((1.0 - haze) * irradiance + haze * (down @ irradiance @ across))
 
 
+@lru_cache(maxsize=4)  # a plan scatters one picture after another
 def _bell(count: int, sigma_px: float) -> Array:
     """Return the share of each pixel's light that a bell spreads to each other pixel of a line (count, count)."""
     away = np.subtract.outer(np.arange(count), np.arange(count))

@@ -57,17 +57,16 @@ class Wear:
     residual: float
 
 
-def wear_surface(heights_mm: Array, multipliers: Array, depth_mm: float, *, steps: int = STEPS) -> Wear:
+def wear_surface(heights_mm: Array, multipliers: Array, depth_mm: float) -> Wear:
     """Return the removal from heights (ny, nx) under a pad, both mirrored at their ends (cosine transform of type 1).
 
     multipliers : (ny, nx) part left of each wave of the transform where the pad touches everywhere; 1 of the mean
     depth_mm    : mean removal, more than 0
-    steps       : in which it comes off, each half of the one before, at least 1
     """
     weights, residual = weigh_nodes(heights_mm.shape), 0.0
     removal = np.zeros_like(heights_mm)
-    for number in range(steps):
-        part = 2.0 ** (steps - 1 - number) / (2.0**steps - 1.0)
+    for number in range(STEPS):
+        part = 2.0 ** (STEPS - 1 - number) / (2.0**STEPS - 1.0)
         step_mm = part * depth_mm
         gap, off, left = _find_gap(transform(heights_mm - removal), 1.0 - multipliers**part, step_mm)
         off = np.where(gap > 0.0, 0.0, np.maximum(off, 0.0)).astype(np.float64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from optics.ball_fit import fit_ball
@@ -11,7 +12,7 @@ from optics.black import Advice, find_advice
 from optics.corrections import ClosingCost, Corrected, Pass, Progress, correct_lens, measure_closing_cost
 from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings
-from optics.polish import PolishRecord, polish_lens
+from optics.polish import Polished, PolishRecord, digest_task, polish_lens
 from optics.spline import Array
 from optics.transport.solver import TOLERANCE, OpticalPath
 from optics.transport_map import TransportMap
@@ -48,15 +49,21 @@ class LensDesign:
 
 
 def design_lens(
-    target: Array, settings: LensSettings, *, on_progress: Progress | None = None, passes: Corrected | None = None
+    target: Array,
+    settings: LensSettings,
+    *,
+    on_progress: Progress | None = None,
+    passes: Corrected | None = None,
+    polished: Polished | None = None,
 ) -> LensDesign:
     """Return the lens for `target` (ny, nx), work frame, mean 1, by the chosen method.
 
-    passes : those of the transport method, if they are already computed
+    passes   : those of the transport method, if they are already computed
+    polished : taken as it is if it was made for the same task
     """
     report = on_progress or (lambda stage, share: None)
     if settings.method == "transport":
-        design = _design_by_transport(target, settings, report, passes)
+        design = _design_by_transport(target, settings, report, passes, polished)
     else:
         design = _design_by_paper(target, settings, report)
     hard = find_advice(
@@ -82,7 +89,7 @@ def _design_by_paper(target: Array, settings: LensSettings, report: Progress) ->
 
 
 def _design_by_transport(
-    target: Array, settings: LensSettings, report: Progress, passes: Corrected | None
+    target: Array, settings: LensSettings, report: Progress, passes: Corrected | None, polished: Polished | None
 ) -> LensDesign:
     started = time.perf_counter()
     done = passes or correct_lens(target, settings, report)
@@ -90,15 +97,11 @@ def _design_by_transport(
     lens, polish = done.best.lens, None
     if steps := settings.descent_steps:
         report("polish", 0.0)
-        lens, polish = polish_lens(
-            lens,
-            target,
-            settings.bench,
-            steps=steps,
-            ball_mm=settings.closing_radius_mm,
-            finish=settings.finish,
-            on_progress=lambda share: report("polish", share),
-        )
+        task = partial(polish_lens, steps=steps, ball_mm=settings.closing_radius_mm, finish=settings.finish)
+        if polished is None or polished.task != digest_task(lens, target, settings.bench, **task.keywords):
+            lens, polish = task(lens, target, settings.bench, on_progress=lambda share: report("polish", share))
+        else:
+            lens, polish = replace(lens, z_mm=polished.z_mm), polished.record
     return LensDesign(
         heightfield=lens,
         transport_map=done.best.path.transport_map(),

@@ -78,7 +78,7 @@ class Finish:
         """Return H(k): the part of a mark's height that is left."""
         return np.asarray(np.exp(-((np.asarray(k_rad_per_mm) / self.k0_rad_per_mm) ** self.order)))
 
-    def kept(self, k_rad_per_mm: Array) -> Array:
+    def compute_kept(self, k_rad_per_mm: Array) -> Array:
         """Return the remaining part of a surface's wave: H(k), and 1 for form."""
         form = np.exp(-((np.asarray(k_rad_per_mm) * self.pad_mm / math.pi) ** 2))
         return np.asarray(form + (1.0 - form) * self.transfer(k_rad_per_mm))
@@ -86,7 +86,7 @@ class Finish:
     def multipliers(self, shape: tuple[int, int], spacing_mm: tuple[float, float]) -> Array:
         """Return `kept` of each wave of a cosine transform (type 1) of a grid (ny, nx); spacing of rows and columns."""
         down, across = (math.pi * np.arange(n) / ((n - 1) * d) for n, d in zip(shape, spacing_mm, strict=True))
-        return self.kept(np.hypot(down[:, None], across[None, :]))
+        return self.compute_kept(np.hypot(down[:, None], across[None, :]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,18 +108,6 @@ class Finished:
 def level(heights_mm: Array, multipliers: Array) -> Array:
     """Return heights (ny, nx) after a finish, mirrored at their ends; linear, its own transpose except at the rims."""
     return transform_back(transform(heights_mm) * multipliers, heights_mm.shape)
-
-
-def finish_surface(
-    lens: Heightfield,
-    finish: Finish,
-    *,
-    departure_mm: Array | None = None,
-    finer: int = 1,
-    beyond_cells: int = 0,
-) -> Heightfield:
-    """Return the lens of `finish_lens`."""
-    return finish_lens(lens, finish, departure_mm=departure_mm, finer=finer, beyond_cells=beyond_cells).lens
 
 
 def finish_lens(
@@ -159,7 +147,7 @@ def finish_lens(
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
     """Return the surface of a perfectly milled lens in the light: after its finish, if there is one."""
-    return lens if finish is None else finish_surface(lens, finish)
+    return lens if finish is None else finish_lens(lens, finish).lens
 
 
 def quick_margin(count: int, least: int) -> int:

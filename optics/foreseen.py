@@ -31,18 +31,11 @@ def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
     return np.asarray(aim / aim.mean())
 
 
-def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
-    """Spread each point over a box with these standard deviations; no light comes from beyond the edges.
+def _box(sigma: float) -> tuple[int, float, float]:
+    """Return the number of pixels to either side with equal weight, that weight, and the weight of the next ones.
 
     A box of n pixels has the variance (n^2 - 1) / 12; between two odd n it is a mixture of both.
     """
-    out = np.empty_like(picture)
-    _spread(picture, _box(blur_px[0]), _box(blur_px[1]), np.empty_like(picture), out)
-    return out
-
-
-def _box(sigma: float) -> tuple[int, float, float]:
-    """Return the number of pixels to either side with equal weight, that weight, and the weight of the next ones."""
     half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
     small, large = 2 * half + 1, 2 * half + 3
     share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)

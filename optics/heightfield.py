@@ -81,7 +81,7 @@ class Heightfield:
         """Return the spline and the surface around the aperture on which all passes run out: the only definition of
         both.
         """
-        return self.spline().extended(by_mm, rim_mm=self.rim_mm)
+        return self.spline().extend(by_mm, rim_mm=self.rim_mm)
 
     def spline(self) -> BicubicSpline:
         """Return the not-a-knot bicubic spline through the vertices."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from optics.bench import Bench
 from optics.finish import Finish
@@ -36,10 +36,6 @@ class LensSettings:
     polish_steps: int = 0
     finish: Finish | None = None
     creases: bool = False
-
-    def on_bench(self, **changes: Any) -> LensSettings:
-        """Return the same decisions for another set-up."""
-        return replace(self, bench=replace(self.bench, **changes))
 
     def vertices(self, pixels: int) -> int:
         """Return the number of heightfield vertices along a side of that many pixels."""

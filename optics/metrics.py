@@ -11,11 +11,13 @@ from optics.spline import Array
 
 _BANDS = 48  # of spatial frequency, from one period across the picture to one in two pixels
 _CONTRAST = 0.5
+_IN_VIEW_PIXELS = 128  # along the longer side, of a picture that is looked at as a whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CausticScore:
     psnr_db: float  # peak = the target's brightest pixel
+    seen_db: float  # likeness as an eye sees it, `seen_db`
     ssim: float  # Gaussian window, sigma 1.5 pixels, over the same peak
     misplaced_light: float  # sum |I - T| / (2 sum T)
     dark_leak: float  # share of the flux that falls on pixels with T < 2 % of the peak
@@ -29,11 +31,30 @@ def psnr_db(irradiance: Array, target: Array) -> float:
     return float(10 * np.log10(peak**2 / max(mse, 1e-300)))
 
 
+def seen_db(irradiance: Array, target: Array) -> float:
+    """Return how alike both (ny, nx) look at a distance from which the whole picture is in view: -10 log10(1 - r), r
+    the correlation of their light over 128 pixels.
+
+    Unlike PSNR it follows the eye. (Looked at one by one: an unmistakable logo has 20.9 dB of PSNR and 19 of this, a
+    web of lines in which nobody finds the cat 19.2 and 8; blurred photographs, still recognised, have 11 to 15,
+    photographs as finished, whose fine detail is off, 16 to 25.)
+    """
+    size = max(1, round(max(target.shape) / _IN_VIEW_PIXELS))
+    ny, nx = (n // size for n in target.shape)
+    ours, wanted = (
+        one[: ny * size, : nx * size].reshape(ny, size, nx, size).mean((1, 3)).ravel() for one in (irradiance, target)
+    )
+    ours, wanted = ours - ours.mean(), wanted - wanted.mean()
+    alike = float(ours @ wanted) / max(float(np.linalg.norm(ours) * np.linalg.norm(wanted)), 1e-300)
+    return float(-10 * np.log10(max(1.0 - alike, 1e-12)))
+
+
 def score_caustic(irradiance: Array, target: Array) -> CausticScore:
     """Return scores of a simulated irradiance (ny, nx) against a target of mean 1 in the same frame and units."""
     peak = float(target.max())
     return CausticScore(
         psnr_db=psnr_db(irradiance, target),
+        seen_db=seen_db(irradiance, target),
         ssim=structural_similarity(irradiance, target, peak),
         misplaced_light=float(np.abs(irradiance - target).sum() / (2 * target.sum())),
         dark_leak=float(irradiance[target < 0.02 * peak].sum() / target.sum()),

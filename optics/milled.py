@@ -28,7 +28,7 @@ from optics.tubes.lattice import Aim
 from optics.tubes.spread import POINT_AREA
 
 _STRIPS = 8  # a fixed number, so that sums do not depend on the machine's cores
-BEAMS = 7  # for light from a disc: grooves spread it more than that
+_BEAMS = 7  # for light from a disc: grooves spread it more than that
 _MOST_CORNERS = 8  # of a quadrilateral cut by a rectangle
 
 
@@ -39,7 +39,6 @@ def simulate_milled(
     bench: Bench,
     *,
     pixels: tuple[int, int],
-    beams: int = BEAMS,
     on_progress: Callable[[float], None] | None = None,
 ) -> Caustic:
     """Return the irradiance on the screen from the bench's light through the facets part(0) .. part(parts - 1).
@@ -47,7 +46,7 @@ def simulate_milled(
     part        : (n, 4, 5) corners in order around, each x, y, z [mm] and slopes in x and y
     heightfield : the ideal lens, for the aperture and its outline
     """
-    aim, bundle, cover = aim_at(bench, pixels), bench.bundle(beams), find_covered_cells(heightfield, bench)
+    aim, bundle, cover = aim_at(bench, pixels), bench.bundle(_BEAMS), find_covered_cells(heightfield, bench)
     cells = (heightfield.dx_mm, heightfield.dy_mm) if cover.size > 1 else (1.0, 1.0)
     bounds = np.linspace(0, parts, _STRIPS + 1).astype(int)
     done = [0] * _STRIPS

@@ -59,7 +59,7 @@ def deviations(
     random, found = np.random.default_rng(0), [np.empty((0, 3))]
     for points, jets, weight in _points_of(samples, heightfield):
         off = points[:, 3:] - jets[1:3].T
-        sums += np.nansum(weight * np.concatenate([off.T, _thrown(points, jets, beam, aim)]) ** 2, axis=1)
+        sums += np.nansum(weight * np.concatenate([off.T, _throw(points, jets, beam, aim)]) ** 2, axis=1)
         area += float(weight.sum())
         rows = np.column_stack([off, weight])
         found.append(rows if len(rows) <= _ENOUGH else random.choice(rows, _ENOUGH, replace=False))
@@ -125,7 +125,7 @@ def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heig
     samples, thrown = [facets for facets in samples if len(facets)], []
     for facets in samples:
         jets = spline.jets(*facets[:, :, :2].mean(axis=1).T).repeat(4, axis=1)  # of the lens at the facet's middle
-        thrown.append(_thrown(facets.reshape(-1, 5), jets, beam, aim).reshape(2, -1, 4))
+        thrown.append(_throw(facets.reshape(-1, 5), jets, beam, aim).reshape(2, -1, 4))
     reaches = [np.abs(one[np.isfinite(one)]) for one in thrown]
     far = max((float(np.quantile(one, 0.999)) for one in reaches if one.size), default=math.nan)
     if math.isnan(far):  # no usable samples
@@ -170,7 +170,7 @@ def _grain(samples: Sequence[Array], thrown: Sequence[Array], far: int, aim: Aim
 
 
 @njit(cache=True, nogil=True)
-def _thrown(corners: Array, jets: Array, beam: Beam, aim: Aim) -> Array:
+def _throw(corners: Array, jets: Array, beam: Beam, aim: Aim) -> Array:
     """Return (2, n) the deviation [pixels] of each corner's light from the point to which the lens would send it."""
     out = np.empty((2, corners.shape[0]))
     for k in range(corners.shape[0]):

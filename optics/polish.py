@@ -16,6 +16,7 @@ surface, and correcting it costs 0.1 dB.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections import deque
@@ -105,6 +106,15 @@ class PolishRecord:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Polished:
+    """Heights (ny, nx) of a lens after its descent; task: `digest_task` of what it was made from."""
+
+    z_mm: Array
+    record: PolishRecord
+    task: bytes
+
+
 @dataclass(slots=True)
 class _Point:
     """Heights, the mean error of their pictures and its gradient."""
@@ -141,7 +151,7 @@ class _Preconditioner:
         self.symbol = np.sqrt(per_pixel_x * per_pixel_y / square)
         self.nodes = weigh_nodes((ny, nx))
         dark = float((target < 0.1).mean())
-        irradiance = error.tubes[0].seen_from_vertices(error.misses[0] + target)
+        irradiance = error.tubes[0].sample_at_vertices(error.misses[0] + target)
         self.weight = 1.0 / (irradiance**2 + _LEAST_LIGHT + 0.8 * min(1.0, 2 * dark))
 
     def __call__(self, gradient: Array) -> Array:
@@ -228,6 +238,20 @@ def polish_lens(
         change_um_rms=1e3 * float(np.std(done.z_mm - lens.z_mm)),
         seconds=time.perf_counter() - started,
     )
+
+
+def digest_task(
+    lens: Heightfield, target: Array, bench: Bench, *, steps: int, ball_mm: float, finish: Finish | None
+) -> bytes:
+    """Return a digest of all that the result of `polish_lens` depends on."""
+    arrays = [lens.x_mm, lens.y_mm, lens.z_mm, target]
+    if bench.outline_mm is not None:
+        arrays.append(bench.outline_mm)
+    numbers = (lens.rim_mm, replace(bench, outline_mm=None), steps, ball_mm, finish, [array.shape for array in arrays])
+    digest = hashlib.sha256(repr(numbers).encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.digest()
 
 
 def _error_of(lens: Heightfield, target: Array, bench: Bench, outcomes: list[Outcome], per_pixel: int) -> MeanError:

@@ -86,7 +86,7 @@ def _share(nm: float) -> float:
     return nm**-2 / (_F_NM**-2 - _C_NM**-2)
 
 
-def _seen(spectrum: Spectrum) -> list[tuple[float, float]]:
+def _weigh_by_eye(spectrum: Spectrum) -> list[tuple[float, float]]:
     """Return (share, light) by nanometre, in order of the index."""
     power = POWERS[spectrum.kind]
     return [(_share(nm), power(nm, spectrum) * luminous_efficiency(nm)) for nm in range(_MOST_NM, _LEAST_NM - 1, -1)]
@@ -94,13 +94,13 @@ def _seen(spectrum: Spectrum) -> list[tuple[float, float]]:
 
 @cache
 def _mean_share(spectrum: Spectrum) -> float:
-    seen = _seen(spectrum)
+    seen = _weigh_by_eye(spectrum)
     return sum(share * light for share, light in seen) / sum(light for _, light in seen)
 
 
 @cache
 def _split(spectrum: Spectrum, parts: int) -> tuple[float, ...]:
-    seen = _seen(spectrum)
+    seen = _weigh_by_eye(spectrum)
     total = sum(light for _, light in seen)
     before = list(accumulate((light / total for _, light in seen), initial=0.0))
     sums = list(accumulate((share * light / total for share, light in seen), initial=0.0))

@@ -181,7 +181,7 @@ class BicubicSpline:
         run_on_rows(_fill_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
         return out
 
-    def extended(self, by_mm: float, *, rim_mm: float = 0.0) -> BicubicSpline:
+    def extend(self, by_mm: float, *, rim_mm: float = 0.0) -> BicubicSpline:
         """Return the same surface, exactly, on its own grid, and a run-out of at least by_mm around it (`run_out`)."""
         pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
         coefs = RunOut(cells=(pad_y, pad_x), dy_mm=self.dy_mm, dx_mm=self.dx_mm, rim_mm=rim_mm).extend(self.coefs)

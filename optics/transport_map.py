@@ -35,13 +35,6 @@ class TransportMap:
         for points in (self.screen_mm, self.lens_mm):
             points.setflags(write=False)
 
-    def collect_areas_mm2(self) -> Array:
-        """Return (ny, nx) area of the lens that lights each pixel: half the cross product of the quad's diagonals."""
-        p = self.lens_mm
-        rising = p[1:, 1:] - p[:-1, :-1]
-        falling = p[1:, :-1] - p[:-1, 1:]
-        return np.asarray(0.5 * (rising[..., 0] * falling[..., 1] - rising[..., 1] * falling[..., 0]))
-
 
 @njit(cache=True, nogil=True)
 def _inverse_bilinear(

@@ -80,11 +80,9 @@ class StripLight:
     pixels_per_mm: float
 
 
-def strip_heights_mm(strip: Strip, *, noise_mm: float = 0.0, seed: int = 0) -> tuple[Array, Array]:
+def strip_heights_mm(strip: Strip) -> tuple[Array, Array]:
     """Return u (n,) and heights (n,) of the strip as milled, with flat around it."""
     places, tips = strip.rows()
-    if noise_mm:
-        tips = tips + noise_mm * np.random.default_rng(seed).standard_normal(tips.size)
     u = np.arange(-_BEYOND_MM, strip.length_mm + _BEYOND_MM, CELL_MM)
     heights = envelope_mm(places, tips, strip.radius_mm, np.clip(u, 0.0, strip.length_mm))
     return u, heights
@@ -93,7 +91,7 @@ def strip_heights_mm(strip: Strip, *, noise_mm: float = 0.0, seed: int = 0) -> t
 def finish_strip(heights_mm: Array, finish: Finish, dose: float) -> Array:
     """Return heights (n,) after that share of the planned dose, uniform across; the strip is flat at its ends."""
     k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * CELL_MM)
-    return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * finish.after(dose).kept(k), type=1))
+    return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * finish.after(dose).compute_kept(k), type=1))
 
 
 def fringes_of(strip: Strip, u_mm: Array, heights_mm: Array, lever_mm: float) -> Array:

@@ -89,20 +89,22 @@ def size(count: Any) -> str:
     return f"{value:.3g} GB"
 
 
-RECOGNISABLE_DB = 21.0
+RECOGNISABLE_DB = 9.0
 """Below, a picture is hard to recognise."""
 
 
-def psnr_in_words(psnr_db: float) -> Phrase:
-    """Describe a PSNR in dB over the target's peak as an eye sees it."""
+def likeness_in_words(seen_db: float | None) -> Phrase:
+    """Describe `optics.metrics.seen_db` in dB, None in old reports; the page has the same words, `job/eye_words.js`."""
+    if seen_db is None:
+        return Phrase("not known")
     for at_least, words in (
-        (60.0, Phrase("no eye can tell it from the target")),
-        (40.0, Phrase("very close to the target")),
-        (33.0, Phrase("small differences, seen only side by side")),
-        (27.0, Phrase("plainly the picture; fine detail or tones are off")),
+        (50.0, Phrase("no eye can tell it from the target")),
+        (36.0, Phrase("very close to the target")),
+        (27.0, Phrase("small differences, seen only side by side")),
+        (16.0, Phrase("plainly the picture; fine detail or tones are off")),
         (RECOGNISABLE_DB, Phrase("recognisable, visibly soft or uneven")),
     ):
-        if psnr_db >= at_least:
+        if seen_db >= at_least:
             return words
     return Phrase("hard to recognise")
 

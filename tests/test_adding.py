@@ -244,7 +244,7 @@ from cam.around.paths import make_facing_paths
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import GRBL
 from cam.surface.stock_grid import StockGrid
-from service.job.spec.lens_task import kinematics_of
+from cam.duration import Kinematics
 from service.job.spec.resolve import cam_stock_of, facing_task_of
 
 def face(shape):
@@ -258,7 +258,7 @@ def face(shape):
     texts = [list(text) for text in programs(paths, GRBL, frame)]
     grid = StockGrid.block(stock, 0.1)
     raw = StockGrid(x0_mm=grid.x0_mm, y0_mm=grid.y0_mm, cell_mm=0.1, top_mm=np.full(grid.top_mm.shape, 0.5))
-    checked = CheckedMill(kinematics=kinematics_of(mill), safe_z_mm=mill.safe_z_mm)
+    checked = CheckedMill(kinematics=Kinematics.of(mill), safe_z_mm=mill.safe_z_mm)
     verdict = check_facing(texts, facing, stock=stock, stock_top=raw, mill=checked)
     return facing.pitch_mm, facing.cusp_mm, verdict.left_um / 1000, verdict.faults
 

@@ -148,7 +148,7 @@ def check_cut_out(
                     asked_mm=cut_out.tab_height_mm,
                 )
             )
-    left_mm = _left_in_slot(cut_out, after, loop_mm) - lowest_mm
+    left_mm = _measure_left_in_slot(cut_out, after, loop_mm) - lowest_mm
     if left_mm > _TOUCH_MM + 1.5 * mill.digit_mm:
         run.faults.append(
             Phrase("{left_mm:.4f} mm are left in the slot between the tabs (allowed: none)", left_mm=left_mm)
@@ -390,7 +390,7 @@ def _tabs(cut_out: CutOut, after: StockGrid, loop_mm: Array, thickness_mm: float
     return tuple(found)
 
 
-def _left_in_slot(cut_out: CutOut, after: StockGrid, loop_mm: Array) -> float:
+def _measure_left_in_slot(cut_out: CutOut, after: StockGrid, loop_mm: Array) -> float:
     """Return the highest stock on the middle line of the slot, feet of tabs left out."""
     length_mm = _length_mm(loop_mm)
     places = np.arange(0.0, length_mm, after.cell_mm)

@@ -18,11 +18,11 @@ from cam.as_milled.strips import (
     MOST_PARTS,
     STEEPEST,
     WIDEST,
-    are_crossed,
     bend,
     facets_of_strip,
+    find_shown,
+    has_crossing,
     set_frame,
-    shown,
     strip_of_chord,
     strip_of_corner,
     turn_to_frame,
@@ -135,7 +135,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  
         low, high = 0.0, 0.0
         if abs(rise) < most:
             ball = (0.5 * length * math.sqrt(1.0 - rise * rise), 0.5 * length * rise)
-            low, high, _ = shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST, 0.0)
+            low, high, _ = find_shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST, 0.0)
         middle = 0.5 * (low + high)
         if low < high and abs(middle) > _TURNED and high < WIDEST and low > -WIDEST:
             nx = frame[2, 0] - middle * frame[1, 0]
@@ -145,7 +145,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  
             for m in range(count):  # the chord that bounded the middle stays first
                 near[m] = int(rivals[m, 7])
             farthest = turn_to_frame(c, k, frame, radius, near, count, rivals)
-        part = min(longest, crossed) if are_crossed(count, rivals) else longest
+        part = min(longest, crossed) if has_crossing(count, rivals) else longest
         goes_on = k + 1 < c.joined.size and c.joined[k + 1]
         before = bend(c.tips, k - 1, frame, rise, -1.0) if c.joined[k - 1] else straight
         after = bend(c.tips, k + 1, frame, rise, 1.0) if goes_on else straight

@@ -39,14 +39,12 @@ _BLOCK_MM = 1.0  # of chords that are skipped together
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DepartureMap:
     """departure_mm (ny, nx): mean height of each cell over the lens, 0 where nothing is cut; cells stand on a grid
-    `finer` times as fine as the lens's vertices, and `beyond_cells` more of them around the aperture. cut_share: of the
-    aperture.
+    `finer` times as fine as the lens's vertices, and `beyond_cells` more of them around the aperture.
     """
 
     departure_mm: Array
     finer: int
     beyond_cells: int
-    cut_share: float
 
 
 class _Places(NamedTuple):
@@ -81,7 +79,7 @@ def map_departure(
     reach_mm = reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm)
     tall_mm = _TALL * error_mm + pitch_mm**2 / radius_mm
     bounds = np.linspace(0, ny, _STRIPS + 1).astype(int)
-    departure, is_cut = np.zeros((ny, nx)), np.zeros((ny, nx), dtype=np.bool_)
+    departure = np.zeros((ny, nx))
     inner = slice(beyond * _PER_CELL, (nx - beyond) * _PER_CELL)
 
     def map_strip(number: int) -> None:
@@ -104,13 +102,11 @@ def map_departure(
                 break
         low -= base
         cells = low.reshape(last - first, nx, _PER_CELL).mean(axis=2)
-        is_cut[first:last] = np.isfinite(cells)
-        departure[first:last] = np.where(is_cut[first:last], cells, 0.0)
+        departure[first:last] = np.where(np.isfinite(cells), cells, 0.0)
 
     with ThreadPoolExecutor(max_workers=_THREADS) as pool:
         list(pool.map(map_strip, range(_STRIPS)))
-    aperture = is_cut[beyond : ny - beyond, beyond : nx - beyond]
-    return DepartureMap(departure_mm=departure, finer=finer, beyond_cells=beyond, cut_share=float(aperture.mean()))
+    return DepartureMap(departure_mm=departure, finer=finer, beyond_cells=beyond)
 
 
 class _Blocks(NamedTuple):

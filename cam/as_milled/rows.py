@@ -68,7 +68,7 @@ def sample_facets(
         noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
         tracks = make_tracks(touched, rows, rule, direction, decimals)
         tracks = tracks if screws is None else tracks.divide(screws.longest_mm)
-        tracks = tracks.made_by(step_mm=step_mm, noise=noise, screws=screws)
+        tracks = tracks.run_on_mill(step_mm=step_mm, noise=noise, screws=screws)
         milled = MilledSurface.of_tracks([tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, step_mm=step_mm)
         facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
         return _inner(facets, 3 * milled.reach_mm + pitch_mm)

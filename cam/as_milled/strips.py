@@ -51,7 +51,7 @@ def set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def are_crossed(count, rivals):  # type: ignore[no-untyped-def]
+def has_crossing(count, rivals):  # type: ignore[no-untyped-def]
     """Return whether another track runs across this one: then what it shows changes from place to place."""
     crossed = False
     for m in range(count):
@@ -98,7 +98,7 @@ def _move_to_front(rivals, first, m):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # type: ignore[no-untyped-def]
+def find_shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # type: ignore[no-untyped-def]
     """Return (low, high, ahead): the angles across that a ball shows within those; low >= high: none, and what hides
     the ball hides even more of it with a larger tilt where `ahead` is positive, with a smaller one else. Rival `skip`
     does not count.
@@ -214,7 +214,7 @@ def bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
+def _compute_loss(radius, bend, across):  # type: ignore[no-untyped-def]
     """Return what a chord loses to the next one beyond a hill; 0 if that is too short to matter."""
     loss = -0.5 * radius * min(bend[0] - bend[1] * across, 0.0)
     return loss if loss < bend[2] else 0.0
@@ -222,7 +222,7 @@ def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def strip_of_chord(length, rise, radius, before, after):  # type: ignore[no-untyped-def]
-    start, end = _lost(radius, before, 0.0), length - _lost(radius, after, 0.0)
+    start, end = _compute_loss(radius, before, 0.0), length - _compute_loss(radius, after, 0.0)
     return Strip(False, end - start, length, start, end - start, rise, 0.0, 0.0, 0.0, 0.0, before, after, -1)
 
 
@@ -237,7 +237,7 @@ def strip_of_corner(k, length, rise, radius, bend, most):  # type: ignore[no-unt
 
 
 @njit(cache=True, nogil=True)
-def _shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untyped-def]
+def _find_shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untyped-def]
     share = strip.first + u * strip.span
     tilt = strip.rise + share * max(strip.up, 0.0)
     low = strip.up / strip.left if strip.left < 0.0 else -WIDEST
@@ -247,7 +247,7 @@ def _shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untype
     s = strip.start + u * strip.run
     ball = (s * math.sqrt(1.0 - strip.rise * strip.rise), s * strip.rise)
     shear = share * strip.left
-    return shown(count, rivals, strip.skip, ball, tilt, shear, radius, max(low, -WIDEST), min(high, WIDEST), slack)
+    return find_shown(count, rivals, strip.skip, ball, tilt, shear, radius, max(low, -WIDEST), min(high, WIDEST), slack)
 
 
 @njit(cache=True, nogil=True)
@@ -275,9 +275,9 @@ def _fill_facet_end(tips, k, frame, radius, strip, u, across, out):  # type: ign
         return
     s = strip.start + u * strip.run
     if u == 0.0:
-        s = min(_lost(radius, strip.before, across), strip.start + strip.run)
+        s = min(_compute_loss(radius, strip.before, across), strip.start + strip.run)
     elif u == 1.0:
-        s = max(strip.whole - _lost(radius, strip.after, across), strip.start)
+        s = max(strip.whole - _compute_loss(radius, strip.after, across), strip.start)
     _fill_corner(tips, k, frame, radius, s / strip.whole, along, across, out)
 
 
@@ -312,7 +312,7 @@ def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no
     low, high, seen = 0, cells - 1, -1
     while low <= high and seen < 0:
         middle = (low + high) // 2
-        shown = _shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
+        shown = _find_shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
         if shown[0] < shown[1]:
             seen = middle
         elif shown[2] > 0.0:
@@ -324,14 +324,14 @@ def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no
     left, right = seen, seen  # the outermost that are known to show something
     while low < left:
         middle = (low + left) // 2
-        shown = _shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
+        shown = _find_shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
         if shown[0] < shown[1]:
             left = middle
         else:
             low = middle + 1
     while right < high:
         middle = (right + high + 1) // 2
-        shown = _shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
+        shown = _find_shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
         if shown[0] < shown[1]:
             right = middle
         else:
@@ -350,9 +350,9 @@ def facets_of_strip(tips, k, frame, radius, strip, longest, count, rivals, farth
     for part in range(first, last):
         u0, u1 = part / parts, (part + 1) / parts
         third = (u1 - u0) / 3.0
-        middle = _shown_at(strip, 0.5 * (u0 + u1), count, rivals, radius, slack)
-        before = _shown_at(strip, u0 + 0.5 * third, count, rivals, radius, slack)
-        after = _shown_at(strip, u1 - 0.5 * third, count, rivals, radius, slack)
+        middle = _find_shown_at(strip, 0.5 * (u0 + u1), count, rivals, radius, slack)
+        before = _find_shown_at(strip, u0 + 0.5 * third, count, rivals, radius, slack)
+        after = _find_shown_at(strip, u1 - 0.5 * third, count, rivals, radius, slack)
         if before[0] < before[1] and middle[0] < middle[1] and after[0] < after[1]:
             lows, highs = _straight(before[0], middle[0], after[0]), _straight(before[1], middle[1], after[1])
             _fill_facet(tips, k, frame, radius, strip, u0, u1, lows, highs, out[filled])

@@ -142,9 +142,9 @@ class Tracks:
             flags.append(joined)
         tracks = cls(radius_mm=radius_mm, tips_mm=np.concatenate(pieces), joined=np.concatenate(flags))
         del pieces
-        return tracks.made_by(step_mm=step_mm, noise=noise)
+        return tracks.run_on_mill(step_mm=step_mm, noise=noise)
 
-    def made_by(self, *, step_mm: float = 0.0, noise: Noise | None = None, screws: Screws | None = None) -> Tracks:
+    def run_on_mill(self, *, step_mm: float = 0.0, noise: Noise | None = None, screws: Screws | None = None) -> Tracks:
         """Return the same tracks as run by a machine with these steps, this noise and these screws."""
         tips = np.round(self.tips_mm / step_mm) * step_mm if step_mm > 0 else self.tips_mm.copy()
         if noise is not None and noise.sigma_mm > 0:

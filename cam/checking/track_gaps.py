@@ -40,15 +40,11 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """The widest gap and the middle of its circle.
-
-    bare_share : share of the region farther than half a pitch from every track; 0: no gap is wider than 1.02 pitches
-    """
+    """The widest gap and the middle of its circle."""
 
     width_mm: float
     x_mm: float
     y_mm: float
-    bare_share: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,21 +123,14 @@ class TrackGaps:
     def find_widest(self, on_progress: Progress | None = None) -> Gap:
         """Scan all tiles on two threads."""
         if not self._points:
-            return Gap(width_mm=self._longest_mm, x_mm=0.0, y_mm=0.0, bare_share=1.0)
+            return Gap(width_mm=self._longest_mm, x_mm=0.0, y_mm=0.0)
         self._points, self._counts = [np.concatenate(self._points)], [np.concatenate(self._counts)[:-1]]
         found = self._scan(on_progress or (lambda share: None))
         best = int(found[:, 0].argmax())
-        distance, x, y = found[best, :3]
+        distance, x, y = found[best]
         if distance > (REACH_PITCHES - 0.5) * self._pitch_mm:
             distance, x, y = self._find_emptiest()
-        bare = float(found[:, 3].sum())
-        inside = self._area_mm2() / self._pixel_mm**2
-        return Gap(
-            width_mm=2 * float(distance),
-            x_mm=float(x),
-            y_mm=float(y),
-            bare_share=min(1.0, bare / inside),
-        )
+        return Gap(width_mm=2 * float(distance), x_mm=float(x), y_mm=float(y))
 
     def _scan(self, report: Progress) -> Array:
         side = PIXELS_PER_PITCH * TILE_PITCHES
@@ -151,7 +140,7 @@ class TrackGaps:
         starts, order = sort_by_tile(
             points, counts, self._x0, self._y0, extent, across, down, REACH_PITCHES * self._pitch_mm
         )
-        found = np.empty((down * across, 4))
+        found = np.empty((down * across, 3))
 
         def scan(row: int) -> None:
             tiles = np.arange(row * across, (row + 1) * across)
@@ -188,8 +177,3 @@ class TrackGaps:
         tracks = np.concatenate([starts[near], ends[near]], axis=1)
         distance, dx, dy = climb(tracks, len(tracks), np.empty_like(tracks), 0.0, 0.0, 8 * cell, x, y, 1.0, rim)
         return distance, x + dx, y + dy
-
-    def _area_mm2(self) -> float:
-        """Return the region's area, from its sides' means."""
-        r = self._region
-        return float((r.right_mm.mean() - r.left_mm.mean()) * (r.top_mm.mean() - r.bottom_mm.mean()))

@@ -356,7 +356,7 @@ def _convert_to_tile(points, chosen, tile_x, tile_y, pixel, tracks):  # type: ig
 
 @njit(cache=True, nogil=True)
 def scan_tiles(tiles, starts, order, points, x0, y0, pixel, per_pitch, side, shape, rim, found):  # type: ignore[no-untyped-def]
-    """Fill found (tiles, 4): distance [mm], x, y of the farthest place of each tile, and how many pixels are bare.
+    """Fill found (tiles, 3): distance [mm], x, y of the farthest place of each tile.
 
     tiles       : numbers of the tiles to scan, row by row from (x0, y0); the tracks near tile t are
                   order[starts[t] : starts[t + 1]], track k from points[k] to points[k + 1] (whole millionths of 1 mm)
@@ -386,7 +386,6 @@ def scan_tiles(tiles, starts, order, points, x0, y0, pixel, per_pitch, side, sha
             places[count, 1] = rows * ((tile * 0.414214 + k * 0.569840291) % 1.0)
             x, y = tile_x + places[count, 0] * pixel, tile_y + places[count, 1] * pixel
             count += 1 if is_inside(rim, x, y) else 0
-        found[n, 3] = bare
         found[n, 0] = 0.0
         for k in range(count):
             distances[k] = nearest(tracks, chosen.size, places[k, 0], places[k, 1])

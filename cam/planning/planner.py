@@ -25,8 +25,8 @@ from cam.tools import Tool, tool_pass
 from phrases.phrase import Phrase
 
 DOUBLING_DB = 0.75
-"""Gain of a picture that is worth twice the time; an eye sees about 1. `camera` finished by hand on steps of 1 um: 27.6
-dB in 4 h, 28.6 dB in 15 h.
+"""Gain of a picture that is worth twice the time; an eye sees about 1. Behind a finish the best is flat: within 0.3 dB
+from 1.2 to 6.8 h for `chelsea`, 60 mm. With 1, finishes of small lenses do not pay.
 """
 
 WORTH_DB = 0.03

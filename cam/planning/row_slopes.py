@@ -61,7 +61,7 @@ class SlopeSpread:
         step = 2 * np.pi * reach * self.slope[-1] / max(half, 1)
         return _mean_cosine(np.asarray(waves) * step, self.share[half:])
 
-    def kept_inside(self, places_mm: Array, end_mm: float, reach_mm: float) -> Array:
+    def compute_share_inside(self, places_mm: Array, end_mm: float, reach_mm: float) -> Array:
         """Return (n,) share of the usual light that places between 0 and end_mm get, with darkness beyond both."""
         sent = np.concatenate([[0.0], np.cumsum(self.share)])
         over = [1.0 - sent[np.searchsorted(self.slope * reach_mm, d)] for d in (places_mm, end_mm - places_mm)]

@@ -104,7 +104,7 @@ def layers_after_s(
 @lru_cache(maxsize=64)
 def _layers_after_s(form: LensForm, spec: PassSpec, first: PassSpec, mill: Kinematics, safe_z_mm: float) -> float:
     lens, block = _coarse_job(form, first)
-    stock_top = _left_by(form, first, safe_z_mm)
+    stock_top = _cut_block(form, first, safe_z_mm)
     paths = list(layer_paths_alone(lens, spec, block, stock_top=stock_top, safe_z_mm=safe_z_mm))
     return _seconds_of(paths, np.array([0.0, 0.0, safe_z_mm]), mill) if paths else 0.0
 
@@ -117,7 +117,7 @@ def _first_paths(form: LensForm, spec: PassSpec, safe_z_mm: float) -> tuple[Path
 
 
 @lru_cache(maxsize=8)
-def _left_by(form: LensForm, spec: PassSpec, safe_z_mm: float) -> StockGrid:
+def _cut_block(form: LensForm, spec: PassSpec, safe_z_mm: float) -> StockGrid:
     _, block = _coarse_job(form, spec)
     grid = removal_of(spec.shape, StockGrid.block(block, _LEFT_CELL_MM), radius_mm=spec.radius_mm)
     moves = _Moves(_first_paths(form, spec, safe_z_mm), np.array([0.0, 0.0, safe_z_mm]))
@@ -168,7 +168,7 @@ def rows_s(
     if spec.finishes:
         rounding = None if digits is None else Rounding(digits=digits, pitch_mm=like.pitch_mm)
         slowness, turns_s = (
-            _sampled_s_per_mm(form, like, mill, rounding, made_rows),
+            _sample_s_per_mm(form, like, mill, rounding, made_rows),
             turn_s(spec, mill) - turn_s(like, mill),
         )
     else:  # chords are long, and the feed sets the time
@@ -188,11 +188,11 @@ def _spans_mm(form: LensForm, spec: PassSpec) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=256)
-def _sampled_s_per_mm(
+def _sample_s_per_mm(
     form: LensForm, spec: PassSpec, mill: Kinematics, rounding: Rounding | None, made_rows: int
 ) -> float:
     """Return the time of rows by their length in plan, their turns included."""
-    rows = _sampled_rows(form, replace(spec, pitch_mm=spec.radius_mm), made_rows)  # the same for all pitches
+    rows = _sample_rows(form, replace(spec, pitch_mm=spec.radius_mm), made_rows)  # the same for all pitches
     paths: Iterable[Path] = _join(rows, spec, 10.0**-_DECIMALS if rounding is None else rounding.digits.z_mm)
     if rounding is not None and rounding.matters:
         paths = on_raster(paths, rounding)
@@ -227,7 +227,7 @@ def _join(rows: tuple[Array, ...], spec: PassSpec, z_mm: float) -> Iterator[Path
 
 
 @lru_cache(maxsize=32)
-def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array, ...]:
+def _sample_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array, ...]:
     """Return vertices (n, 3) of rows evenly spread over lens and run-out."""
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
     rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, spec.radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))

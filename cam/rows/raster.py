@@ -66,13 +66,13 @@ class Rows:
 
     def every(self, stride: int) -> Rows:
         """Return every stride-th row, and the last."""
-        return replace(self, y_mm=self.y_mm[self._chosen(stride)])
+        return replace(self, y_mm=self.y_mm[self._choose_rows(stride)])
 
     def between(self, stride: int) -> Rows:
         """Return the rows that `every` leaves out."""
-        return replace(self, y_mm=self.y_mm[~self._chosen(stride)])
+        return replace(self, y_mm=self.y_mm[~self._choose_rows(stride)])
 
-    def _chosen(self, stride: int) -> npt.NDArray[np.bool_]:
+    def _choose_rows(self, stride: int) -> npt.NDArray[np.bool_]:
         chosen = np.arange(self.y_mm.size) % stride == 0
         chosen[-1] = True
         return chosen
@@ -153,7 +153,7 @@ def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightwa
     yield from map_in_order(row, range(rows.y_mm.size))
 
 
-def sampled_rows(surface: RoughSurface, rows: Rows, sag_mm: float) -> Iterator[Array]:
+def sample_rows(surface: RoughSurface, rows: Rows, sag_mm: float) -> Iterator[Array]:
     """Yield all rows of a flat cutter back and forth on one unbroken path, row by row, each with the turn after it."""
     x = on_ticks(np.linspace(rows.left_mm, rows.right_mm, math.ceil(rows.length_mm / surface.node_step_mm) + 1))
     angle = np.pi * np.arange(1, turn_parts(rows.turn_mm)) / turn_parts(rows.turn_mm)

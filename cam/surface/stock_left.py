@@ -249,13 +249,13 @@ def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, s
     for k in order:
         if beyond[k] <= worst_mm:
             break
-        uncut_mm = min(float(beyond[k]), float(over_mm[k]) - _left_by_rows(int(cells[k]), left, tips, spec))
+        uncut_mm = min(float(beyond[k]), float(over_mm[k]) - _measure_left_by_rows(int(cells[k]), left, tips, spec))
         if uncut_mm > worst_mm:
             worst_mm, worst = uncut_mm, int(cells[k])
     return worst_mm, worst
 
 
-def _left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: PassSpec) -> float:
+def _measure_left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: PassSpec) -> float:
     """Return the most stock (over_mm) that two rows a pitch apart, one on either side of the place, leave there."""
     row, column = divmod(cell, left.over_mm.shape[1])
     at = np.array([left.grid.x_mm[column], left.grid.y_mm[row]])

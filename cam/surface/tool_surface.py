@@ -41,7 +41,6 @@ class ToolSurface:
     allowance_mm: float
     lowest_mm: float
     highest_mm: float
-    guarded_share: float
     kernel: Ball
 
     @classmethod
@@ -82,7 +81,7 @@ class ToolSurface:
                 list(pool.map(fill, (slice(0, y.size // 2), slice(y.size // 2, None))))
         else:
             fill(slice(None))
-        guarded = _grown(most > GUARD_SHARE / ball_mm, beside / step)
+        guarded = _grow(most > GUARD_SHARE / ball_mm, beside / step)
         sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
         tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
         slack = ndimage.maximum_filter(bend, size=3) * step**2 / 4
@@ -103,7 +102,6 @@ class ToolSurface:
             allowance_mm=allowance_mm,
             lowest_mm=float(heights[np.ix_(*tips)].min()) + allowance_mm,
             highest_mm=float(heights.max()) + allowance_mm,
-            guarded_share=float(guarded.mean()),
             kernel=kernel,
         )
 
@@ -158,7 +156,7 @@ def _tile_tops(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(whole.reshape(rows, TILE, columns, TILE).max(axis=(1, 3)))
 
 
-def _grown(mask: np.ndarray, by: float) -> np.ndarray:
+def _grow(mask: np.ndarray, by: float) -> np.ndarray:
     """Return the mask and everything within `by` cells of it."""
     if not mask.any():
         return mask
@@ -239,7 +237,7 @@ def surface_under(heightfield: Heightfield, spec: PassSpec) -> Surface:
     return RoughSurface.over(heightfield, spec)
 
 
-def left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
+def compute_left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
     """Return heights (ny, nx) at the lens's vertices that a pass of a flat cutter leaves: where its end comes, and on
     slopes stairs.
     """

@@ -13,7 +13,7 @@ from machines.errors import MachineError, ProgramRefusedError
 from machines.gcode import language, refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.modal import Arc, ModalState, Position, Step, state_of, vector_of
-from machines.gcode.text import BadTextError, shown, split_words, strip_block
+from machines.gcode.text import BadTextError, show_line, split_words, strip_block
 from phrases.phrase import Phrase
 
 _NUMBER = rb"([-+]?(?:\d{1,9}(?:\.\d{0,8})?|\.\d{1,8}))"
@@ -150,15 +150,15 @@ class Interpreter:
         kind, flags = int(out[language.KIND]), int(out[language.FLAGS])
         end = self._position
         if kind == language.PROBE:
-            end = _known(out[language.END], out[language.END + 1], out[language.END + 2])
-        start = _known(out[language.START], out[language.START + 1], out[language.START + 2])
+            end = _make_position(out[language.END], out[language.END + 1], out[language.END + 2])
+        start = _make_position(out[language.START], out[language.START + 1], out[language.START + 2])
         arc = None
         if kind == language.ARC:
             u, v, w = _PLANES[self._vector[language.PLANE]]
             arc = Arc(u, v, w, *out[language.CENTRE_U : language.SWEEP + 1])
         machine = None
         if kind == language.MACHINE:
-            machine = _known(out[language.END], out[language.END + 1], out[language.END + 2])
+            machine = _make_position(out[language.END], out[language.END + 1], out[language.END + 2])
         feed = out[language.BLOCK_FEED]
         return Step(
             _KINDS[kind],
@@ -188,15 +188,15 @@ class Interpreter:
     def _settle(self) -> None:
         """Set the position, and whether the fast path is allowed, from the vector."""
         v = self._vector
-        self._position = _known(v[0], v[1], v[2])
+        self._position = _make_position(v[0], v[1], v[2])
         self._plain = (
             v[language.MM] == 1.0 and v[language.ABSOLUTE] == 1.0 and v[language.FEED_MODE] == 94.0
             and v[language.ENDED] == 0.0
         )  # fmt: skip
 
     def _refuse(self, text: bytes, code: int) -> ProgramRefusedError:
-        return ProgramRefusedError(0, shown(text), self._dialect.reason_for(code))
+        return ProgramRefusedError(0, show_line(text), self._dialect.reason_for(code))
 
 
-def _known(x: float, y: float, z: float) -> Position:
+def _make_position(x: float, y: float, z: float) -> Position:
     return (x if x == x else None, y if y == y else None, z if z == z else None)

@@ -21,7 +21,7 @@ from machines.errors import ProgramChangedError, ProgramRefusedError
 from machines.gcode.dialects import DIALECTS, RML
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.gcode.text import shown, strip_block, strip_ends
+from machines.gcode.text import show_line, strip_block, strip_ends
 from phrases.phrase import Phrase
 
 DIGEST_BYTES = 16
@@ -219,4 +219,4 @@ class TextIndex:
         reason = Phrase(
             "a line of more than {most} bytes; put a line end after each command (sed 's/;/;\\n/g')", most=LONGEST_LINE
         )
-        raise ProgramRefusedError(number, shown(text[:60]), reason)
+        raise ProgramRefusedError(number, show_line(text[:60]), reason)

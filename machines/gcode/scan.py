@@ -19,7 +19,7 @@ from machines.gcode.dialects import DIALECTS, Dialect
 from machines.gcode.modal import ModalState, state_of, vector_of
 from machines.gcode.program import DIGEST_BYTES, IndexEntry, ProgramIndex
 from machines.gcode.scan_moves import MOST_CHORDS
-from machines.gcode.text import shown
+from machines.gcode.text import show_line
 
 EVERY_LINES = 20_000
 PIECE_BYTES = 1 << 19  # a piece ends here even if it has fewer lines, so that a reader's memory stays small
@@ -161,7 +161,7 @@ class ProgramScan:
         )
 
     def _refuse(self, text: bytes, code: int) -> NoReturn:
-        raise ProgramRefusedError(self.lines + 1, shown(text), self.dialect.reason_for(code))
+        raise ProgramRefusedError(self.lines + 1, show_line(text), self.dialect.reason_for(code))
 
     def _open_piece(self, offset: int) -> None:
         self._piece_line, self._piece_offset, self._piece_state = self.lines + 1, offset, self.state

@@ -35,13 +35,13 @@ def require_plain_text(chunks: Iterable[bytes], *, lone_returns: bool = False) -
     line, last = 1, b""
     for number, chunk in enumerate(chunks):
         if number == 0 and (words := _name_encoding(chunk[:_LOOKED_AT])):
-            raise ProgramRefusedError(1, shown(chunk[:_LOOKED_AT]), words)
+            raise ProgramRefusedError(1, show_line(chunk[:_LOOKED_AT]), words)
         text = last + chunk if last == b"\r" else chunk
         if not lone_returns and text.count(b"\r") != text.count(b"\r\n") and (found := _LONE_RETURN.search(text)):
             at = line + text.count(b"\n", 0, found.start())
             raise ProgramRefusedError(
                 at,
-                shown(text[text.rfind(b"\n", 0, found.start()) + 1 : found.start()]),
+                show_line(text[text.rfind(b"\n", 0, found.start()) + 1 : found.start()]),
                 Phrase(
                     "the line ends with CR alone, as on old Macintoshes: a control would begin a new line there, other "
                     "readers do not; save the file with LF or CR LF line ends"
@@ -123,7 +123,7 @@ def strip_ends(text: bytes) -> bytes:
     return text.strip(b" \t\r\n\x0b\x0c\x1a\x00")
 
 
-def shown(text: bytes) -> str:
+def show_line(text: bytes) -> str:
     """Return a line as a message shows it: printable characters on one line, at most 100 of them."""
     plain = "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in text.strip()[:100].replace(b"\t", b" "))
     return plain if len(plain) <= 100 else plain[:97] + "..."

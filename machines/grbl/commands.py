@@ -19,10 +19,11 @@ from machines.driver import (
     MillState,
     Override,
     Require,
+    Travel,
     TrustPosition,
     allow_always,
 )
-from machines.errors import MachineError
+from machines.errors import MachineError, NotAllowedError
 from machines.grbl.asking import PARSER_TAG, Answer, Ask, CommandSequence, Outcome, SequenceFailedError, WaitStill
 from machines.grbl.link import GrblLink
 from machines.grbl.replies import Push, Reply, Setting, Status, error_words, show
@@ -163,7 +164,7 @@ class CommandChannel:
     held_line: str = ""
     banner_due_s: float = 0.0
     _sequence: CommandSequence | None = None  # only in IDENTIFYING and COMMAND
-    _require: Require = allow_always  # until its first line has left that is no question
+    _require: Require = allow_always  # until its first line has left that is no question; of a way, to its end
     _waiting: Ask | WaitStill | None = None
     _begun_s: float = 0.0  # of our own time
     _heard: list[Reply] = field(default_factory=list)
@@ -198,6 +199,8 @@ class CommandChannel:
         elif isinstance(command, JogCancel):
             link.urgent += JOG_CANCEL
             self._cancel_reports = CANCEL_REPORTS
+            if isinstance(self.command, Travel):
+                self._require = _refuse_next_leg
             link.events.append(CommandDone(command))
         elif isinstance(command, CheckMode) and command.on == (state is MillState.CHECK):
             link.events.append(CommandDone(command))
@@ -295,7 +298,8 @@ class CommandChannel:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
             if isinstance(waiting, Ask) and not waiting.is_question:
                 self._require()  # the line is sent in this same call of the driver, before anything that could wait
-                self._require = allow_always
+                if not isinstance(self.command, Travel):
+                    self._require = allow_always
         except StopIteration as stop:
             self._finish(stop.value, NO_WORDS, now_s)
         except (SequenceFailedError, MachineError) as failed:
@@ -322,6 +326,10 @@ class CommandChannel:
         assert command is not None
         self.link.enter(Phase.READY, now_s)
         self.link.events.append(CommandDone(command, failure, answer))
+
+
+def _refuse_next_leg() -> None:
+    raise NotAllowedError(Phrase("ended on the way; the rest of it is left out"))
 
 
 def _is(reply: Reply, expect: str) -> bool:

@@ -16,6 +16,7 @@ from machines.driver import (
     Reset,
     SendBlock,
     SetZero,
+    Travel,
     Triple,
     TrustPosition,
     Unlock,
@@ -39,6 +40,7 @@ ALLOWED: dict[type, frozenset[MillState]] = {
     Unlock: frozenset({MillState.IDLE, MillState.ALARM}),
     Reset: _STANDING,
     Jog: _IDLE,
+    Travel: _IDLE,
     JogCancel: _LINKED,
     ProbeZ: _IDLE,
     ProbeCorner: _IDLE,
@@ -124,7 +126,9 @@ def _values(
     if isinstance(command, Jog):
         if not 0.0 < command.feed_mm_per_min <= 100_000.0:
             return Phrase("feed {feed_mm_per_min} mm/min: above 0", feed_mm_per_min=command.feed_mm_per_min)
-        return _jog(command, settings, machine_mm) if settings.homing and trusted else None
+        return _jog(command.by_mm, settings, machine_mm) if settings.homing and trusted else None
+    if isinstance(command, Travel):
+        return _travel(command, settings, machine_mm)
     if isinstance(command, ProbeZ):
         return _probe(command)
     if isinstance(command, ProbeCorner):
@@ -132,14 +136,25 @@ def _values(
     return _block(command.text) if isinstance(command, SendBlock) else None
 
 
-def _jog(command: Jog, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
+def _travel(command: Travel, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
+    """Refuse a way with a place outside the travel, before its first leg."""
+    if not (settings.homing or settings.soft_limits) or machine_mm is None:
+        return None
+    for leg in command.legs:
+        x_mm, y_mm, z_mm = (to - at for to, at in zip(leg.to_mm, machine_mm, strict=True))
+        if refusal := _jog((x_mm, y_mm, z_mm), settings, machine_mm):
+            return refusal
+    return None
+
+
+def _jog(by_mm: Triple, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
     """Refuse a jog of a homed mill that ends outside its travel: with $20=0 the controller itself would not.
 
     A mill that is already outside, by a pull-off or by hand, may come back.
     """
     if settings.reach_mm is None or machine_mm is None:
         return None
-    for name, at, by, (low, high) in zip("XYZ", machine_mm, command.by_mm, settings.reach_mm, strict=True):
+    for name, at, by, (low, high) in zip("XYZ", machine_mm, by_mm, settings.reach_mm, strict=True):
         end = at + by
         beyond_mm = max(low - end, end - high)
         if beyond_mm > _REPORTED_MM and beyond_mm > max(low - at, at - high):

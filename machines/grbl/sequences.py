@@ -23,6 +23,7 @@ from machines.driver import (
     ReadSettings,
     SendBlock,
     SetZero,
+    Travel,
     Triple,
     Unlock,
 )
@@ -50,6 +51,7 @@ from phrases.phrase import Phrase
 
 BACK_MM = 1.0  # from the fast touch to where the slow one begins
 SLOW_MM_PER_MIN = 25.0
+ARRIVED_MM = 0.02  # half a step of a coarse mill, and the digits of a report
 APART_MM = 0.2  # between the two touches: a larger difference means that something else was touched
 _Triple = Generator[Ask | WaitStill, Answer, Triple]
 _Touch = Generator[Ask | WaitStill, Answer, tuple[Triple, bool]]
@@ -297,6 +299,24 @@ def jog(command: Jog, settings: ControllerSettings) -> CommandSequence:
     return Outcome()
 
 
+def travel(command: Travel, settings: ControllerSettings) -> CommandSequence:
+    """Jog along each leg in machine coordinates, and compare the place where the mill then stands."""
+    for leg in command.legs:
+        axes = "".join(f"{axis}{value:.4f}" for axis, value in zip("XYZ", leg.to_mm, strict=True))
+        require_ok((yield Ask(f"$J=G90G53G21{axes}F{leg.feed_mm_per_min:.1f}".encode())))
+        at_mm = require_ok((yield WaitStill(_longest_s(settings, leg.feed_mm_per_min)))).machine_mm
+        if at_mm is None or any(abs(at - to) > ARRIVED_MM for at, to in zip(at_mm, leg.to_mm, strict=True)):
+            raise SequenceFailedError(Phrase("ended on the way; the rest of it is left out"))
+    return Outcome()
+
+
+def _longest_s(settings: ControllerSettings, feed_mm_per_min: float) -> float:
+    """Return a time within which any way through the travel ends at this feed."""
+    length_mm = sum(mm * mm for mm in settings.travel_mm or (1000.0,) * 3) ** 0.5
+    slowest = min((feed_mm_per_min, *(settings.max_rate_mm_per_min or (500.0,))))
+    return 10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0
+
+
 def set_zero(command: SetZero, settings: ControllerSettings) -> CommandSequence:
     words = "".join(f"{axis}0" for axis in command.axes)
     require_ok((yield Ask(f"G10L20P0{words}".encode())))
@@ -334,6 +354,8 @@ def make_sequence(command: Command, settings: ControllerSettings, modes: str) ->
             return read_again(settings)
         case Jog():
             return jog(command, settings)
+        case Travel():
+            return travel(command, settings)
         case ProbeZ():
             return probe_z(command, settings)
         case ProbeCorner():

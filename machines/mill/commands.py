@@ -25,6 +25,7 @@ from machines.driver import (
     Reset,
     SendBlock,
     SetZero,
+    Travel,
     Triple,
     TrustPosition,
     Unlock,
@@ -119,6 +120,8 @@ class Commands:
             order.require()
             order.extend()
         driver.command(command, order.require)
+        if isinstance(command, Travel):
+            order.note_begun()
         self._last = (command, order.caller)
         if isinstance(command, Jog):
             self._jog_from_mm = stood_mm
@@ -128,7 +131,8 @@ class Commands:
         words = command_words(event, from_mm=self._jog_from_mm, at_mm=self.context.link.status.machine_mm)
         caller = self._last[1] if self._last is not None and self._last[0] is command else NOBODY
         read = isinstance(command, ReadSettings) and not event.failure
-        self.context.log.say("command", words, event.answer, caller, code=MillCode.SETTINGS_READ if read else "")
+        answer = {**event.answer, **self._measure_jog(event)}
+        self.context.log.say("command", words, answer, caller, code=MillCode.SETTINGS_READ if read else "")
         if event.failure:
             return
         if isinstance(command, ReadSettings):
@@ -144,6 +148,14 @@ class Commands:
             setup.zeroed = "".join(sorted({*setup.zeroed, *axes}))
             setup.zeroed_anew = "".join(sorted({*setup.zeroed_anew, *axes}))
             self.context.runs.note_zero(axes)
+
+    def _measure_jog(self, event: CommandDone) -> dict[str, object]:
+        """Return how far a jog has gone, and where the tool is now (machine coordinates), if the link reports it."""
+        at_mm, from_mm = self.context.link.status.machine_mm, self._jog_from_mm
+        if not isinstance(event.command, Jog) or at_mm is None or from_mm is None:
+            return {}
+        moved_mm = [round(at - begun, 4) for at, begun in zip(at_mm, from_mm, strict=True)]
+        return {"moved_mm": moved_mm, "at_machine_mm": list(at_mm)}
 
 
 def _find_axes_zeroed(command: Command) -> str:
@@ -168,6 +180,8 @@ def _describe_question(command: Command) -> Phrase:
     match command:
         case Jog():
             return Phrase("Jog {way}", way=_way(command.by_mm))
+        case Travel():
+            return command.name
         case ProbeZ():
             return Phrase(
                 "Probe Z down by at most {depth_mm:g} mm, plate {plate_mm:g} mm",

@@ -6,8 +6,8 @@ unasked, and a hold or an abort that was ordered while the link was away. Every 
 person's confirmation.
 
 The parts: `link` and `run_store` hold the link and the runs; `run_control` the streamed run, and runs whose mill went
-on unattended; `commands` sends commands outside a run; `cycle` reads the driver; `starting` starts and recovers; `view`
-has the shared context, log and snapshot. `Mill` combines them and carries out orders.
+on unattended; `commands` sends commands outside a run, `travelling` plans ways; `cycle` reads the driver; `starting`
+starts and recovers; `view` has the shared context, log and snapshot. `Mill` combines them and carries out orders.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from machines.mill.orders import Caller, Order, OrderGate, Stop
 from machines.mill.run_control import RunControl, UnattendedRuns
 from machines.mill.run_store import RunStore
 from machines.mill.starting import RecoveryPlanner, RunStarter
+from machines.mill.travelling import WayPlanner
 from machines.mill.view import MillContext, MillLog, MillSnapshot, SnapshotPublisher
 from machines.preflight.preflight import Preflight
 from machines.recovery.plan_model import RecoveryPlan, Reentry
@@ -72,6 +73,7 @@ class Mill:
         self._commands = Commands(context, unattended)
         self._cycle = MillCycle(context, self._control, self._commands, unattended, self.publish)
         self._planner = RecoveryPlanner(context, self._cycle, reentry)
+        self._ways = WayPlanner(context, reentry.safe_z_mm)
         self._starter = RunStarter(context, self._cycle, self._control, unattended, self._planner)
         self.publish()
 
@@ -177,6 +179,14 @@ class Mill:
         self._require_open()
         self._commands.send(command, self._order)
         self._cycle.look()
+
+    def go_to_zero(self, axes: str, feed_mm_per_min: float) -> None:
+        """Go to the work zero at a safe height, and with axes = "XYZ" down to it. The answer is an entry of the log."""
+        self.command(self._ways.to_zero(axes, feed_mm_per_min))
+
+    def frame(self, program: str, feed_mm_per_min: float, *, confirmed: bool = False) -> None:
+        """Go around the outline of the program that waits, above all of it. As `WayPlanner.around`."""
+        self.command(self._ways.around(program, feed_mm_per_min, confirmed=confirmed))
 
     # ------------------------------------------------------------------ stops
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import math
 import secrets
 import threading
 import time
@@ -260,6 +261,10 @@ class Permit:
         """Allow more time: the order was begun in time, and its first queries to the controller may take a while."""
         self._limit_s = CARRY_OUT_S
 
+    def note_begun(self) -> None:
+        """Let only a stop or a change of control end it from now on: its first bytes have left."""
+        self._limit_s = math.inf
+
     def require(self) -> None:
         """Raise OrderRefusedError unless the order is still valid: the last check before a byte is sent."""
         gate, grant = self._gate, self._grant
@@ -289,6 +294,10 @@ class Order:
     def extend(self) -> None:
         if self.permit is not None:
             self.permit.extend()
+
+    def note_begun(self) -> None:
+        if self.permit is not None:
+            self.permit.note_begun()
 
     def require(self) -> None:
         if self.permit is not None:

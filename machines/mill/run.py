@@ -12,12 +12,13 @@ from machines.errors import JournalError
 from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
 from machines.preflight.preflight import AT_PRESENT_ZERO, Preflight
+from machines.preflight.timeline import compute_time_at_s
 from machines.runs import LIVE, RunReport, RunState, move_state
 
 MARK_EVERY_S = 0.5
 LINK_LOST = "link"  # why a run is unattended: in this case the journal has the last line sent
 OWNER_LOST = "owner"  # in this case the journal is up to a second behind
-_PACE_AFTER_S = 20.0
+_PACE_PRIOR_S = 60.0  # so long a run counts as exactly as fast as its estimate: the pace comes in without a jump
 
 
 class Run:
@@ -35,6 +36,7 @@ class Run:
         self._marked: tuple[object, ...] = ()
         self._looked_s: float | None = None
         self._moving_s = 0.0
+        self._moved_s = 0.0  # of it, until the last executed line: lines are known to be executed some time after it
         self._view: RunReport | None = None
         self.facts: Preflight | None = None
         self.reader: ProgramReader | None = None
@@ -102,7 +104,7 @@ class Run:
         """Begin counting lines: a driver is about to stream from here."""
         self._base_line = self.executed_line
         self._looked_s = None
-        self._moving_s = 0.0
+        self._moving_s = self._moved_s = 0.0
 
     def follow(
         self, progress: StreamProgress, status: MillStatus, now_s: float, wall_s: float, *, moving: bool
@@ -112,6 +114,8 @@ class Run:
             self._moving_s += now_s - self._looked_s
         self._looked_s = now_s
         executed = max(self._base_line, progress.executed_line)
+        if executed != self.executed_line:
+            self._moved_s = self._moving_s
         if executed != self.executed_line or progress.sent_line != self.record.get("sent_line"):
             self.record["executed_line"], self.record["sent_line"] = executed, progress.sent_line
             self._view = None
@@ -168,14 +172,17 @@ class Run:
     # ------------------------------------------------------------------ time
 
     def _time_left_s(self) -> float | None:
-        """Return pre-flight's estimate, scaled by how the run has kept to it since it was last started."""
+        """Return pre-flight's estimate of the rest, scaled by how the run has kept to it since it was last started."""
         lines, total_s = int(self.record.get("lines", 0)), float(self.record.get("time_s", 0.0))
         if not lines or not total_s or self.state is RunState.FINISHED:
             return None
-        left = max(0.0, 1.0 - self.executed_line / lines)
-        expected_s = (self.executed_line - self._base_line) / lines * total_s
-        known = self._moving_s > _PACE_AFTER_S and expected_s > 1.0
-        return left * total_s * (self._moving_s / expected_s if known else 1.0)
+        timeline = self.record.get("timeline") or ()
+        base_s, now_s = (
+            compute_time_at_s(timeline, line, lines=lines, time_s=total_s)
+            for line in (self._base_line, self.executed_line)
+        )
+        pace = (self._moved_s + _PACE_PRIOR_S) / (now_s - base_s + _PACE_PRIOR_S)
+        return max(0.0, total_s - now_s) * pace
 
     def take_back(self, fields: dict[str, Any]) -> None:
         """Undo a start that did not take place. If the disk refuses this as well, its next good record will have it."""

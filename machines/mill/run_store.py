@@ -189,7 +189,7 @@ class RunStore:
         self._folders.save_facts(run_id, program)
         record = {
             "id": run_id, "name": name, "sha256": program.sha256, "path": str(path.absolute()), "lines": program.lines,
-            "bytes": program.bytes, "time_s": program.time_s, "profile": program.profile,
+            "bytes": program.bytes, "time_s": program.time_s, "timeline": program.timeline, "profile": program.profile,
             "created_s": round(self._wall(), 3),
             "warnings": list(program.warnings), "state": RunState.PARKED.value, "executed_line": 0,
             "travel_in_doubt": any(one.startswith(AT_PRESENT_ZERO) for one in program.warnings),

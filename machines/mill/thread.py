@@ -60,8 +60,8 @@ class MillThread:
     def call(self, function: Callable[[Mill], T], timeout_s: float = _CALL_S) -> T:
         """Run `function` on the owner thread; return its result or raise its exception.
 
-        A caller that waited in vain is told that the call was not made, so a call that has not begun by then never
-        begins.
+        A caller that waited in vain gets an error that says that the call was not made, so a call that has not begun by
+        then never begins.
         """
         if threading.current_thread() is self._thread:
             return function(self._mill)

@@ -50,6 +50,7 @@ class Preflight:
     feeds_mm_per_min  : slowest and fastest feed of cutting moves; None without one
     spindle_rpm       : lowest and highest speed while the spindle turns; None if it never does
     time_s            : estimate for the mill's kinematics and link, without operator stops
+    timeline          : when lines are executed in that time (machines.preflight.timeline)
     ends              : M2 or M30 was found
     mist_line         : the first line with M7, 0 if there is none: not every controller is built with it
     assumed           : modes on which it relies without stating them, e.g. ("G21", "G90"): check against $G before a
@@ -68,6 +69,7 @@ class Preflight:
     spindle_rpm: tuple[float, float] | None
     path_length_mm: float
     time_s: float
+    timeline: tuple[tuple[int, float], ...] = ()
     ends: bool
     mist_line: int = 0
     assumed: tuple[str, ...] = ()
@@ -105,6 +107,7 @@ class Preflight:
             "feeds_mm_per_min": (feeds[0], feeds[1]) if feeds else None,
             "spindle_rpm": (spindle[0], spindle[1]) if spindle else None,
             "assumed": tuple(values["assumed"]),
+            "timeline": tuple((line, at_s) for line, at_s in values.get("timeline", ())),
             "findings": tuple(Finding(*one) for one in findings),
             "index": ProgramIndex.from_dict(values["index"]),
         }

@@ -21,7 +21,7 @@ from math import dist, inf, nan
 from machines.driver import Triple
 from machines.errors import ProgramRefusedError
 from machines.gcode.modal import UNKNOWN, Position, Step
-from machines.gcode.text import shown, strip_ends
+from machines.gcode.text import show_line, strip_ends
 from machines.preflight.way_in import Motion
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase
@@ -128,7 +128,7 @@ def spindle_rpm(code: float, slowest: float, fastest: float) -> float:
 
 def _number(part: bytes, shape: Shape) -> float:
     if not _NUMBER.match(part):
-        raise RmlFault(Phrase("'{text}' is not a number", text=shown(part)))
+        raise RmlFault(Phrase("'{text}' is not a number", text=show_line(part)))
     if shape.whole and b"." in part:
         raise RmlFault(
             Phrase("{text} must be a whole number (coordinates are hundredths of a millimetre)", text=part.decode())
@@ -292,7 +292,7 @@ def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
                 _count_command(command, line, mill, tally, profile)
         except RmlFault as fault:
             where = Phrase("{fault} (command {count} of the program)", fault=str(fault), count=tally.commands)
-            raise ProgramRefusedError(line, shown(text.lstrip().split(b"\n")[0][:60]), where) from None
+            raise ProgramRefusedError(line, show_line(text.lstrip().split(b"\n")[0][:60]), where) from None
     if not tally.commands:
         raise ProgramRefusedError(0, "", Phrase("the file holds no RML-1 command"))
     moved = all(value < inf for value in tally.low)
@@ -395,5 +395,5 @@ def _commands(chunks: Iterable[bytes]) -> Iterator[tuple[int, bytes, int]]:
     if end:
         line += rest[: rest.find(end)].count(b"\n")
         reason = Phrase("the last command has no ';': is the file cut off, or not RML-1?")
-        raise ProgramRefusedError(line, shown(end.split(b"\n")[0][:60]), reason)
+        raise ProgramRefusedError(line, show_line(end.split(b"\n")[0][:60]), reason)
     yield line + max(rest.count(b"\n") - 1, 0), b"", size

@@ -210,7 +210,7 @@ class SimulatedMill:
         self.serial.go_deaf(self.now_s, self.now_s + seconds)
 
     def _rx_free(self) -> int:
-        return self.traits.rx_bytes - self.serial.used(self.now_s)
+        return self.traits.rx_bytes - self.serial.count_used(self.now_s)
 
     def _forget_received(self) -> None:
         self._main_loop.forget_received(self.now_s)

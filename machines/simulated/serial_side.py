@@ -144,7 +144,7 @@ class SerialSide:
         if len(ring) > self.most_used:
             self.most_used = len(ring)
 
-    def used(self, at_s: float) -> int:
+    def count_used(self, at_s: float) -> int:
         """Return bytes in the ring now, as Bf: reports."""
         waiting = sum(self._count_arrived(first, len(data), at_s) for first, data in self.incoming)
         return min(self.rx_bytes, len(self.ring) + waiting)

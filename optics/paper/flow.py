@@ -30,6 +30,7 @@ from optics.paper.flow_darts import flow_with_darts
 from optics.paper.flow_even import flow_on_even_grids
 from optics.paper.flow_rules import (
     KEPT_STEPS,
+    STUCK_DT,
     FlowSettings,
     FlowSnapshot,
     FlowStep,
@@ -108,8 +109,8 @@ def _plain_flow(
         velocity = project_to_frame(mesh.vertex_gradients(solution.values, weights), (ny, nx))
         largest_dt = mesh.largest_step(velocity)
         dt = min(0.5 * largest_dt, 1.0)
-        mesh = mesh.moved(mesh.points_mm + dt * velocity)
-        if dt >= settings.stuck_dt or not any(step.dt < settings.stuck_dt for step in steps):
+        mesh = mesh.move_to(mesh.points_mm + dt * velocity)
+        if dt >= STUCK_DT or not any(step.dt < STUCK_DT for step in steps):
             lens, lens_step = mesh, len(steps) + 1
         difference = mesh.dual_areas() / faces - wanted
         rms = rms_over(difference, faces)
@@ -120,8 +121,6 @@ def _plain_flow(
                 largest_dt=min(largest_dt, 1e9),
                 rms_percent=100.0 * rms,
                 max_percent=100.0 * float(np.abs(difference).max()),
-                thinnest=float((mesh.areas() / weights).min()),
-                solver_iterations=solution.iterations,
             )
         )
         verdict = judge_convergence(steps, rms, settings)

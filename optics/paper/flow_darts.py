@@ -27,6 +27,9 @@ from optics.paper.remesh import without_short_lived
 from optics.spline import Array
 from phrases.phrase import Phrase, join
 
+_SHORT_LIFE = 0.2  # a triangle that flips within this time is cut out
+_SEED = 20140301  # of the darts
+
 
 def flow_with_darts(
     target: Array, *, size_mm: tuple[float, float], settings: FlowSettings, on_progress: Progress | None = None
@@ -37,7 +40,7 @@ def flow_with_darts(
     x_mm, y_mm = pixel_vertices(nx, size_mm[0]), pixel_vertices(ny, size_mm[1])
     rest = TriangleMesh.build_regular(x_mm, y_mm)
     pair = MeshPair(screen=rest, lens=rest)
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(_SEED)
     pixel_mm = (size_mm[0] / nx, size_mm[1] / ny)
     steps: list[FlowStep] = []
     snapshots: list[FlowSnapshot] = []
@@ -47,12 +50,12 @@ def flow_with_darts(
         solution = NeumannPoisson(pair.lens).solve(pair.lens, excess, tolerance=settings.solver_tolerance)
         velocity = _project_to_frame(pair.lens.vertex_gradients(solution.values, pair.screen.areas()), pair, size_mm)
         removed = inserted = 0
-        if pair.lens.largest_step(velocity) < settings.short_life:
-            made = without_short_lived(pair, velocity, wanted=settings.short_life, pixel_mm=pixel_mm, rng=rng)
+        if pair.lens.largest_step(velocity) < _SHORT_LIFE:
+            made = without_short_lived(pair, velocity, wanted=_SHORT_LIFE, pixel_mm=pixel_mm, rng=rng)
             pair, velocity, removed, inserted = made.pair, made.velocity_mm, made.removed, made.inserted
         largest_dt = pair.lens.largest_step(velocity)
         dt = min(0.5 * largest_dt, 1.0)
-        pair = MeshPair(screen=pair.screen, lens=pair.lens.moved(pair.lens.points_mm + dt * velocity))
+        pair = MeshPair(screen=pair.screen, lens=pair.lens.move_to(pair.lens.points_mm + dt * velocity))
         faces = pair.screen.dual_areas()
         excess = excess_on_faces(pair, neighbours_of(pair.triangles), wanted, size_mm)
         difference = excess / faces
@@ -63,8 +66,6 @@ def flow_with_darts(
                 largest_dt=min(largest_dt, 1e9),
                 rms_percent=100.0 * rms_over(difference, faces),
                 max_percent=100.0 * float(np.abs(difference).max()),
-                thinnest=float((pair.lens.areas() / pair.screen.areas()).min()),
-                solver_iterations=solution.iterations,
                 removed=removed,
                 inserted=inserted,
             )

@@ -69,7 +69,7 @@ class _Even:
 
     def pair(self) -> MeshPair:
         lens = TriangleMesh.build_regular(self.x_mm, self.y_mm)
-        return MeshPair(screen=lens.moved(self.screen_mm.reshape(-1, 2)), lens=lens)
+        return MeshPair(screen=lens.move_to(self.screen_mm.reshape(-1, 2)), lens=lens)
 
     def regrid(self, moved_mm: Array) -> _Even:
         """Return the even grid again after its vertices have moved to moved_mm (my, mx, 2) on the lens."""
@@ -168,13 +168,13 @@ class _Run:
             velocity = project_to_frame(pair.lens.vertex_gradients(solution.values, pair.lens.areas()), shape)
             largest_dt = pair.lens.largest_step(velocity)
             dt = min(0.5 * largest_dt, 1.0)
-            pair = MeshPair(screen=pair.screen, lens=pair.lens.moved(pair.lens.points_mm + dt * velocity))
+            pair = MeshPair(screen=pair.screen, lens=pair.lens.move_to(pair.lens.points_mm + dt * velocity))
             since += 1
             again = dt < _SHORT_STEP or since == _MOST_BETWEEN or self.settled
             if again:
                 state, since = state.regrid(pair.lens.points_mm.reshape(*shape, 2)), 0
                 pair = state.pair()
-            self._record(state, pair, across, dt, largest_dt, solution.iterations, again)
+            self._record(state, pair, across, dt, largest_dt, again)
 
     def message(self) -> Phrase:
         return Phrase(
@@ -193,20 +193,16 @@ class _Run:
         across: Neighbours,
         dt: float,
         largest_dt: float,
-        iterations: int,
         remeshed: bool,
     ) -> None:
         faces = pair.screen.dual_areas()
         difference = excess_on_faces(pair, across, self._wanted, self._size_mm) / faces
-        lens_areas = pair.lens.areas()
         step = FlowStep(
             step=len(self.steps) + 1,
             dt=dt,
             largest_dt=min(largest_dt, 1e9),
             rms_percent=100.0 * rms_over(difference, faces),
             max_percent=100.0 * float(np.abs(difference).max()),
-            thinnest=float(lens_areas.min() / lens_areas.mean()),
-            solver_iterations=iterations,
             remeshed=remeshed,
         )
         self.steps.append(step)

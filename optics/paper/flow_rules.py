@@ -28,6 +28,11 @@ from phrases.phrase import Phrase
 Progress = Callable[[str, float], None]
 Remeshing = Literal["none", "simple", "clean"]
 
+STUCK_DT = 5e-3  # a step this small has no effect: stuck ...
+_LEAST_STEPS = 25  # ... but the flow goes on until this step, for the paper's figure ...
+_IMMOVABLE_DT = 1e-9  # ... unless the mesh cannot move at all
+_SETTLED_GAIN = 0.02  # also converged once full steps lower the rms by less than this share ...
+_SETTLED_STEPS = 3  # ... this many times in a row: the rest is finer than the mesh can resolve
 KEPT_STEPS = (1, 3, 5, 7, 25)  # of the paper's Fig. 6; and the last
 
 
@@ -41,16 +46,9 @@ class FlowSettings:
 
     max_steps: int = 60
     converged_rms: float = 0.0025  # rms of D over the mean intensity
-    settled_gain: float = 0.02  # also converged once full steps lower the rms by less than this share ...
-    settled_steps: int = 3  # ... this many times in a row: the rest is finer than the mesh can resolve
-    stuck_dt: float = 5e-3  # a step this small has no effect: stuck ...
-    least_steps: int = 25  # ... but the flow goes on until this step, for the paper's figure ...
-    immovable_dt: float = 1e-9  # ... unless the mesh cannot move at all
     floor: float = 0.01  # least target, as a share of the mean
     solver_tolerance: float = 1e-4
     remeshing: Remeshing = "none"
-    short_life: float = 0.2  # "simple": a triangle that flips within this time is cut out
-    seed: int = 20140301  # of the darts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +60,6 @@ class FlowStep:
     largest_dt: float  # at which the first triangle would flip
     rms_percent: float
     max_percent: float
-    thinnest: float  # smallest triangle on the lens over the same triangle on the screen
-    solver_iterations: int
     removed: int = 0  # vertices taken out by remeshing before the step
     inserted: int = 0
     remeshed: bool = False  # "clean": put back on an even grid after the step
@@ -195,13 +191,13 @@ def judge_convergence(steps: list[FlowStep], rms: float, settings: FlowSettings)
     )
     if rms <= settings.converged_rms:
         return True, Phrase("The flow converged: {state}.", state=state)
-    recent = steps[-settings.settled_steps - 1 :]
+    recent = steps[-_SETTLED_STEPS - 1 :]
     gains = [1.0 - b.rms_percent / a.rms_percent for a, b in pairwise(recent)]
     full = all(step.dt == 1.0 for step in recent[1:])
-    shown = len(steps) >= min(settings.least_steps, settings.max_steps)
-    if shown and full and len(gains) == settings.settled_steps and max(gains) < settings.settled_gain:
+    shown = len(steps) >= min(_LEAST_STEPS, settings.max_steps)
+    if shown and full and len(gains) == _SETTLED_STEPS and max(gains) < _SETTLED_GAIN:
         return True, Phrase("The flow has settled: {state}; what is left is finer than the mesh can move.", state=state)
-    if steps and steps[-1].dt < (settings.stuck_dt if shown else settings.immovable_dt):
+    if steps and steps[-1].dt < (STUCK_DT if shown else _IMMOVABLE_DT):
         return False, Phrase(
             "The mesh got stuck: {state}; the next triangle to flip allows a step of only {largest_dt:.1e} (a bright "
             "region beside a very dark one). The lens shows the picture with less contrast than asked for.",

@@ -33,7 +33,7 @@ class TriangleMesh:
         triangles = np.stack([lower_left, lower_right, upper_right, lower_left, upper_right, upper_left], axis=1)
         return cls(points_mm=points, triangles=np.ascontiguousarray(triangles.reshape(-1, 3)))
 
-    def moved(self, points_mm: Array) -> TriangleMesh:
+    def move_to(self, points_mm: Array) -> TriangleMesh:
         """Return the same triangles on other points (n, 2)."""
         return TriangleMesh(points_mm=np.ascontiguousarray(points_mm), triangles=self.triangles)
 

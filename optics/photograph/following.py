@@ -39,7 +39,7 @@ class Fit:
 
 def promise_of(photograph: Photograph, view: View, fit: Fit) -> float:
     """Return the correlation of the photograph at that place with the picture, clipped where the photograph is."""
-    light, clipped, inside = view.seen(photograph, fit.homography)
+    light, clipped, inside = view.sample(photograph, fit.homography)
     share = float(clipped[view.inner].mean())
     picture = np.minimum(view.picture, np.quantile(view.picture[view.inner], min(max(1 - share, 0.05), 0.98)))
     return _correlate(np.where(inside, light, 0.0), picture)
@@ -96,7 +96,7 @@ def model_photograph(picture: Array, fit: Fit) -> tuple[Array, Array]:
 
 def residual_of(photograph: Photograph, view: View, fit: Fit) -> tuple[Array, Array, Array, Array]:
     """Return photograph minus model (NaN where they are not compared), the model, its open share, the clipped share."""
-    light, clipped, inside = view.seen(photograph, fit.homography)
+    light, clipped, inside = view.sample(photograph, fit.homography)
     inside &= view.compared
     model, is_open = model_photograph(view.picture, fit)
     light = gaussian_filter(light, np.sqrt(_SMOOTH**2 + max(-fit.spread_px2, 0.0)))
@@ -142,7 +142,7 @@ def follow(photograph: Photograph, view: View, fit: Fit, *, fit_tone: bool = Fal
 
 def _with_tones(photograph: Photograph, view: View, fit: Fit) -> Fit:
     """Return gain and offset for a given place: least squares over the pixels that are not clipped."""
-    light, clipped, inside = view.seen(photograph, fit.homography)
+    light, clipped, inside = view.sample(photograph, fit.homography)
     chosen = inside & (clipped < 0.02)
     if chosen.sum() < 20:
         chosen = inside

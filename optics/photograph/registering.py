@@ -87,7 +87,6 @@ def register(
     *,
     viewed_from: ViewedFrom = "lens",
     fit_tone: bool = False,
-    dark_surround: bool = True,
 ) -> Registration:
     """Find the predicted light in a photograph.
 
@@ -95,7 +94,6 @@ def register(
     predicted (ny, nx) : irradiance in the work frame (row 0 at the lowest y), any units
     viewed_from        : from which side the photograph was taken
     fit_tone           : the camera's tones are uncertain: fit an exponent too
-    dark_surround      : no light is predicted around the prediction, so that its rim is visible
 
     ValueError for a photograph or a prediction without light.
     """
@@ -105,7 +103,7 @@ def register(
     if not (np.isfinite(scale) and scale > 0):
         raise ValueError("the prediction holds no light")
     picture = picture / scale
-    views = [View.of(picture, side, dark_surround) for side in _sides(max(picture.shape))]
+    views = [View.of(picture, side, dark_surround=True) for side in _sides(max(picture.shape))]
     upright = _choose_fit(photograph, views, first_guesses(photograph.small(), picture, turned_over=False))
     mirrored = _choose_fit(photograph, views[:2], first_guesses(photograph.small(), picture, turned_over=True))
     level = min(1, len(views) - 1)
@@ -154,7 +152,7 @@ def _registration(
     """Return the fit in the prediction's own pixels, units and frame."""
     ny, nx = picture.shape
     whole = View.of(picture, max(ny, nx), dark_surround=False)
-    light, clipped, inside = whole.seen(photograph, fit.homography)
+    light, clipped, inside = whole.sample(photograph, fit.homography)
     finer = max(picture.shape) / max(view.picture[view.inner].shape)
     spread = (fit.spread_px2 - photograph.sampling_blur_px2(fit.homography, view.step)) * finer**2
     fitted = blur(picture, replace(fit, spread_px2=spread))

@@ -113,7 +113,7 @@ class View:
         """Return `homography.step_fields` at its pixels."""
         return step_fields(self.x, self.y)
 
-    def seen(self, photograph: Photograph, homography: Array) -> tuple[Array, Array, Mask]:
+    def sample(self, photograph: Photograph, homography: Array) -> tuple[Array, Array, Mask]:
         """Return what `Photograph.sample` finds in its pixels."""
         return photograph.sample(homography, self.x, self.y, self.step)
 

@@ -164,7 +164,7 @@ class _Scene:
         rim = self.view.inner[0].start
         shape = self.view.picture[self.view.inner].shape
         self.rays = WallRays(lens, bench, (shape[0], shape[1]), rim)
-        self._plain = self._seen(np.zeros(SETTINGS))
+        self._plain = self._flip_to_viewer(np.zeros(SETTINGS))
         self.known = np.ones(self._plain.shape, dtype=bool)
         known = np.isfinite(predicted)
         self.known[self.view.inner] = area_average(known.astype(np.float64), shape) > 0.999
@@ -179,7 +179,7 @@ class _Scene:
 
     def light(self, setting: Array) -> Array:
         """Return the light as the viewer sees it, as soft as predicted."""
-        soft = self._soften(self._seen(setting)) if setting.any() else self._soft
+        soft = self._soften(self._flip_to_viewer(setting)) if setting.any() else self._soft
         return np.maximum(soft + self._milled, 0.0)
 
     def make_view(self, state: _State, light: Array | None = None) -> View:
@@ -230,7 +230,7 @@ class _Scene:
             return 0.0
         return float(np.corrcoef((off + model)[chosen], model[chosen])[0, 1])
 
-    def _seen(self, setting: Array) -> Array:
+    def _flip_to_viewer(self, setting: Array) -> Array:
         return flip_between_picture_and_work_frame(self.rays.light(setting), self._viewed_from)
 
     def _soften(self, light: Array) -> Array:

@@ -90,7 +90,6 @@ def solve_transport(
     skim_mm: float,
     start: OpticalPath | None = None,
     tolerance: float = TOLERANCE,
-    most_iterations: int = _MOST_ITERATIONS,
     on_progress: Callable[[float], None] | None = None,
 ) -> OpticalPath:
     """Return the optical path whose refraction gives each pixel its share of the light.
@@ -107,11 +106,11 @@ def solve_transport(
     g = target / target.mean()
     report = on_progress or (lambda share: None)
     if start is not None:
-        path = _solve_levels(g, bench, skim_mm, start, tolerance, most_iterations, report)
+        path = _solve_levels(g, bench, skim_mm, start, tolerance, report)
         return path if path.levels[-1].turned <= _FOLDED else replace(start, levels=path.levels, converged=False)
     for floor, blur_pixels in _SOFTER:
         aim = (1.0 - floor) * (gaussian_filter(g, blur_pixels, mode="reflect") if blur_pixels > 0 else g) + floor
-        path = _solve_levels(aim, bench, skim_mm, None, tolerance, most_iterations, report)
+        path = _solve_levels(aim, bench, skim_mm, None, tolerance, report)
         if path.levels[-1].turned <= _FOLDED:
             break
     if not math.isfinite(path.levels[-1].rms):
@@ -125,7 +124,6 @@ def _solve_levels(
     skim_mm: float,
     start: OpticalPath | None,
     tolerance: float,
-    most_iterations: int,
     report: Callable[[float], None],
 ) -> OpticalPath:
     """Solve from coarse to fine, or on the finest grid alone from a start."""
@@ -136,7 +134,7 @@ def _solve_levels(
     for number, shape in enumerate(shapes, start=1):
         if c.shape != shape:
             c = prolong(c, shape, bench)
-        most = most_iterations if number == len(shapes) else _MOST_COARSE
+        most = _MOST_ITERATIONS if number == len(shapes) else _MOST_COARSE
         c, record, met_reflection = _solve_level(average_boxes(g, shape), c, bench, skim_mm, tolerance, most)
         records.append(record)
         reflected |= met_reflection

@@ -95,7 +95,7 @@ class TubePicture:
                 by_coefs += part
         return fit_transposed(by_coefs)
 
-    def seen_from_vertices(self, irradiance: Array) -> Array:
+    def sample_at_vertices(self, irradiance: Array) -> Array:
         """Return (vertices) the irradiance of the pixel that each vertex lights, or of the nearest pixel, at the last
         heights.
         """

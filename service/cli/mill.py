@@ -80,6 +80,13 @@ def stream(
     confirm_position: Annotated[
         bool, typer.Option("--confirm-position", help="With --recover: you confirm that the mill's position is right.")
     ] = False,
+    frame: Annotated[
+        bool, typer.Option("--frame", help="First go around the program's outline at the safe height, cutting nothing.")
+    ] = False,
+    dry_pass: Annotated[
+        float | None,
+        typer.Option("--dry-pass", metavar="MM", help="The whole program so much higher, spindle and coolant off."),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="The controller reads everything and moves nothing ($C).")
     ] = False,
@@ -98,6 +105,8 @@ def stream(
             confirmed=yes,
             recover=recover,
             position_confirmed=confirm_position,
+            frame=frame,
+            lift_mm=dry_pass,
             dry_run=dry_run,
         )
         go_first()

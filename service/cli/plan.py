@@ -24,7 +24,7 @@ from service.job.spec.loading import default_layer, load_stored_spec, read_spec_
 from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolve import ResolvedJob
 from service.job.spec.tools import load_tools
-from service.wording import RECOGNISABLE_DB, align, duration, psnr_in_words
+from service.wording import RECOGNISABLE_DB, align, duration, likeness_in_words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     yield ""
     yield from reasons(planned)
     yield from (f"warning: {sentence}" for sentence in blur_warnings(planned))
-    if request.source.is_file() and planned.score(planned.chosen).psnr_db < RECOGNISABLE_DB:
+    if request.source.is_file() and planned.score(planned.chosen).seen_db < RECOGNISABLE_DB:
         yield from _suggest_changes(job, request.source)
     yield from (written or ["", *fragment.splitlines()])
 
@@ -81,7 +81,7 @@ def _suggest_changes(job: ResolvedJob, picture: Path) -> Iterator[str]:
             for key, value in change.values.items()
         )
         yield (
-            f"  {change.what}: {psnr_in_words(seen['psnr_db'])} ({seen['psnr_db']:.1f} dB), details from "
+            f"  {change.what}: {likeness_in_words(seen['seen_db'])} ({seen['psnr_db']:.1f} dB), details from "
             f"{seen['smallest_detail_mm']:.2g} mm, {duration(3600 * seen['hours'])} ({values})"
         )
 

@@ -108,7 +108,7 @@ def revoke(
 def _token_book(data: Path | None) -> Iterator[TokenBook]:
     from sqlalchemy.exc import SQLAlchemyError
 
-    from service.server.database.connection import open_database
+    from service.server.database.schema import open_database
     from service.server.database.tokens import TokenBook
     from service.settings import ServerSettings
 

@@ -63,8 +63,12 @@ def is_own_host(header: str, names: frozenset[str]) -> bool:
         return False
 
 
-def bind_address(host: str, port: int) -> socket.socket:
-    """Bind an address without listening yet; InputError if that is impossible."""
+def bind_address(host: str, port: int, *, option: str = "--port", backlog: int = 0) -> socket.socket:
+    """Bind an address; InputError if that is impossible.
+
+    option  : which one sets the port
+    backlog : listen at once, for so many callers; 0: not yet, and another process may still bind the address
+    """
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
@@ -73,11 +77,13 @@ def bind_address(host: str, port: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
+        if backlog:
+            listener.listen(backlog)
     except OSError as error:
         listener.close()
         if error.errno == errno.EADDRINUSE:
-            raise InputError(f"--port {port} on {host} is in use; allowed: a free port, or 0 for any") from None
-        raise InputError(f"--host {host} --port {port}: {(error.strerror or str(error)).lower()}") from None
+            raise InputError(f"{option} {port} on {host} is in use; allowed: a free port, or 0 for any") from None
+        raise InputError(f"--host {host} {option} {port}: {(error.strerror or str(error)).lower()}") from None
     return listener
 
 

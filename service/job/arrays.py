@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from dataclasses import astuple
 from pathlib import Path
+from typing import BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
 
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield
+from optics.polish import Polished, PolishRecord
 from phrases.phrase import Phrase
 from service.errors import InputError, sentence_of_os_error
 
@@ -37,6 +40,21 @@ def load_heightfield(path: Path) -> Heightfield:
             )
         )
     return heightfield
+
+
+def polished_bytes(polished: Polished) -> bytes:
+    record = np.array(astuple(polished.record), dtype=np.float64)
+    return npz_bytes({"z_mm": polished.z_mm, "task": np.frombuffer(polished.task, np.uint8), "record": record})
+
+
+def load_polished(path: Path | BinaryIO) -> Polished:
+    """Load the heights of a plan's lens after its descent."""
+    arrays = load_arrays(path, ("z_mm", "task", "record"))
+    steps, before_db, after_db, change_um, seconds = arrays["record"].tolist()
+    record = PolishRecord(
+        steps=int(steps), psnr_db_before=before_db, psnr_db_after=after_db, change_um_rms=change_um, seconds=seconds
+    )
+    return Polished(z_mm=arrays["z_mm"], record=record, task=arrays["task"].astype(np.uint8).tobytes())
 
 
 def stock_bytes(stock_top: StockGrid) -> bytes:
@@ -86,7 +104,7 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
     return buffer.getvalue()
 
 
-def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
+def load_arrays(path: Path | BinaryIO, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
     """Load those arrays of an .npz file; InputError if one is missing, or the file is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:

@@ -58,6 +58,7 @@ _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FI
 _DRAWING = re.compile(r"pass-\d+\.path|report-[a-z]+\.html")
 _STAGING = ".part"
 _CHUNK_BYTES = 1 << 22
+_ALIGN = 8
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "phrases", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
 
@@ -179,6 +180,12 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 def write_json(path: Path, data: object) -> None:
     write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+
+
+def make_header_line(facts: Mapping[str, Any]) -> bytes:
+    """Return the first line of a file for the page; spaces make its length a multiple of 8, for the arrays behind."""
+    text = json.dumps(facts, separators=(",", ":"), allow_nan=False).encode()
+    return text + b" " * (-(len(text) + 1) % _ALIGN) + b"\n"
 
 
 @contextlib.contextmanager

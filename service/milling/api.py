@@ -37,6 +37,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
+from machines.mill.mill import Mill
 from machines.runs import RunState
 from phrases.phrase import Phrase
 from service.http.problems import Problem
@@ -47,7 +48,7 @@ Code = Annotated[str, Field(description="the same as `words`, for programs; empt
 Values = Annotated[dict[str, Any], Field(description="what the words name, by `code`")]
 
 _LATEST_S = 4e9  # year 2096: what is later is no time
-_PERSON = r"^[^\W_][\w .,'@-]{0,59}$"
+_PERSON = r"^[^\W_][\w .,'@-]*$"  # a count of such classes of Unicode would take megabytes in each model
 Person = Annotated[
     str,
     Field(min_length=1, max_length=60, pattern=_PERSON, description="who it is, for others to see", examples=["Ada"]),
@@ -64,7 +65,7 @@ _Mm = Annotated[float, _within(JOG_MM)]
 
 class ControlBody(Body):
     operator: Person
-    take_over: Annotated[bool, Field(strict=True, description="from the one who has it; they are told")] = False
+    take_over: Annotated[bool, Field(strict=True, description="from the person who has it, who is notified")] = False
 
 
 class GrantBody(Body):
@@ -188,7 +189,7 @@ class RunReply(Body):
     values: Annotated[dict[str, Any], Field(default_factory=dict)]
     phrases: Phrases
     travel_in_doubt: Annotated[bool, Field(strict=True)] = False
-    id: Annotated[str, Field(pattern=r"^[^/]{1,100}$")]
+    id: Annotated[str, Field(min_length=1, max_length=100, pattern="^[^/]*$")]
     state: RunState
 
 
@@ -199,6 +200,11 @@ class OrderBody(Body):
         """Return it as the mill takes it. Problem 422 if its values do not go together."""
         raise NotImplementedError
 
+    def make_act(self) -> Callable[[Mill], None]:
+        """Return what the mill's thread carries out. Problem 422 as `command`."""
+        command = self.command()
+        return lambda mill: mill.command(command)
+
 
 class JogBody(OrderBody):
     by_mm: Annotated[list[_Mm], Field(min_length=3, max_length=3, examples=[[1.0, 0.0, 0.0]])]
@@ -207,6 +213,26 @@ class JogBody(OrderBody):
     def command(self) -> Command:
         x_mm, y_mm, z_mm = self.by_mm
         return Jog(by_mm=(x_mm, y_mm, z_mm), feed_mm_per_min=self.feed_mm_per_min)
+
+
+class ZeroWayBody(OrderBody):
+    axes: Annotated[
+        Literal["XY", "XYZ"], Field(description="XY: over it, at a safe height; XYZ: then down to Z0, spindle off")
+    ] = "XY"
+    feed_mm_per_min: Annotated[float, _within(JOG_FEED)] = 1000.0
+
+    def make_act(self) -> Callable[[Mill], None]:
+        return lambda mill: mill.go_to_zero(self.axes, self.feed_mm_per_min)
+
+
+class FrameBody(OrderBody):
+    program: Annotated[
+        str, Field(max_length=100, description="`sha256` of the program that waits, as the person saw it")
+    ]
+    feed_mm_per_min: Annotated[float, _within(JOG_FEED)] = 1000.0
+
+    def make_act(self) -> Callable[[Mill], None]:
+        return lambda mill: mill.frame(self.program, self.feed_mm_per_min)
 
 
 class ProbeBody(OrderBody):
@@ -305,6 +331,8 @@ class BlockBody(OrderBody):
 
 ORDERS: dict[str, type[OrderBody]] = {
     "jog": JogBody,
+    "go-to-zero": ZeroWayBody,
+    "frame": FrameBody,
     "probe": ProbeBody,
     "probe-corner": ProbeCornerBody,
     "zero": ZeroBody,

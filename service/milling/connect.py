@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from machines.driver import Driver
-from machines.drivers import open_driver
 from machines.errors import ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
+from machines.open_driver import open_driver
 from machines.port import stable_name
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile, load_profile

@@ -14,13 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machines.gcode.dialects import RML
+from machines.preflight.timeline import thin_out
 from service.processes.child_work import answer_requests
 from service.processes.kernel_cache import use_current_kernels
 
 if TYPE_CHECKING:
+    from cam.duration import DurationModel
+    from machines.gcode.scan import ScanBatch
     from machines.preflight.preflight import MillLimits, Preflight
 
 _CHUNK_BYTES = 1 << 22
+_KNOTS_OF_BATCH = 64
 
 
 def main() -> None:
@@ -59,16 +63,8 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     from machines.preflight.preflight import Preflight
     from machines.preflight.way_in import read_way_in
 
-    model = DurationModel(
-        Kinematics(
-            max_rate_mm_per_min=limits.max_rate_mm_per_min,
-            acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
-            junction_deviation_mm=limits.junction_deviation_mm,
-            planner_blocks=limits.planner_blocks + 1,  # plus the slot that is always free and not reported
-            lines_per_s=limits.lines_per_s,
-            bytes_per_s=limits.bytes_per_s,
-        )
-    )
+    model = DurationModel(Kinematics.of(limits, bytes_per_s=limits.bytes_per_s))
+    knots = _Knots(model)
     scan = ProgramScan(limits.dialect, limits.max_rate_mm_per_min)
     digest = hashlib.sha256()
     with ThreadPoolExecutor(1) as helper:  # one batch's time is planned while the next is read
@@ -76,7 +72,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         for batch in scan.read_batches(require_plain_text(_chunks(path, digest, on_share))):
             if busy is not None:
                 busy.result()
-            busy = helper.submit(model.add, batch)
+            busy = helper.submit(knots.add, batch)
         if busy is not None:
             busy.result()
     events, totals = scan.events.tolist(), scan.totals.tolist()
@@ -116,12 +112,36 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         spindle_rpm=spindle,
         path_length_mm=totals[tally.PATH_MM],
         time_s=model.seconds,
+        timeline=knots.make_timeline(),
         ends=scan.state.ended,
         mist_line=events[tally.MIST][0] if events[tally.MIST][1] else 0,
         assumed=rules.list_assumed_modes(events),
         findings=rules.judge_program(reading),
         index=scan.index,
     )
+
+
+class _Knots:
+    """Gathers when lines are executed, from the duration model, batch by batch."""
+
+    def __init__(self, model: DurationModel) -> None:
+        self._model = model
+        self._lines: list[int] = []  # of blocks whose end is not certain yet
+        self._found: list[tuple[int, float]] = []
+
+    def add(self, batch: ScanBatch) -> None:
+        from cam.duration import is_block
+
+        self._lines += batch.line[is_block(batch)].tolist()
+        self._take(self._model.add_batch(batch).tolist())
+
+    def make_timeline(self) -> tuple[tuple[int, float], ...]:
+        self._take(self._model.list_waiting_s().tolist())
+        return thin_out(self._found)
+
+    def _take(self, ends_s: list[float]) -> None:
+        self._found += thin_out(list(zip(self._lines, ends_s, strict=False)), _KNOTS_OF_BATCH)
+        del self._lines[: len(ends_s)]
 
 
 def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:

@@ -132,14 +132,14 @@ def _cache_folder() -> str:
 
 def _find_hash(module: str, name: str, root: Path) -> str:
     """Return `kernel_hash` from a cache: computing it for all kernels takes a third of their import time."""
-    known, at = _known_hashes(root), f"{module}.{name}"
+    known, at = _load_known_hashes(root), f"{module}.{name}"
     if at not in known:
         known[at] = kernel_hash(module, name, root)
     return known[at]
 
 
 @cache
-def _known_hashes(root: Path) -> dict[str, str]:
+def _load_known_hashes(root: Path) -> dict[str, str]:
     """Return the hashes, by name, that earlier processes have computed for the same sources; this process adds its own
     at its end.
     """

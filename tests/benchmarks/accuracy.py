@@ -55,7 +55,7 @@ def figures() -> Iterator[Figure]:
     lens = Heightfield.on_aperture(heights(axis[None, :], axis[:, None])[0], width_mm=SIDE_MM, height_mm=SIDE_MM)
     stock = Stock(width_mm=SIDE_MM, height_mm=SIDE_MM, thickness_mm=20.0, margin_mm=5.0)
     block = StockGrid.block(stock, 0.1)
-    skin = lens.spline().extended(8.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + 0.03
+    skin = lens.spline().extend(8.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + 0.03
     left = replace(block, top_mm=np.minimum(skin, 0.0))
     for strategy in ("raster", "contour"):
         spec = replace(PAPER_PASSES[2], strategy=strategy)

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from cam.checking.check import PassCheck, check_program
+from cam.duration import Kinematics
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.planning.shop import pitches_mm
 from cam.posts.dialects import GRBL
@@ -29,7 +30,6 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield
 from service.job.files import read_chunks
-from service.job.spec.lens_task import kinematics_of
 from service.job.spec.tools import load_tools
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
@@ -54,7 +54,7 @@ def block_of(lens: Heightfield) -> Stock:
 def skin_over(lens: Heightfield, cell_mm: float) -> StockGrid:
     """What the pass before has left."""
     block = StockGrid.block(block_of(lens), cell_mm)
-    top = lens.spline().extended(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
+    top = lens.spline().extend(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
     return replace(block, top_mm=np.minimum(top, 0.0))
 
 
@@ -77,7 +77,7 @@ def judge(chunks: Iterable[bytes], lens: Heightfield, spec: PassSpec, cell_mm: f
         spec=spec,
         stock=block_of(lens),
         stock_top=skin_over(lens, cell_mm),
-        kinematics=kinematics_of(machine),
+        kinematics=Kinematics.of(machine),
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
     )
@@ -115,7 +115,7 @@ def _path_figures(verdict: PassCheck) -> Iterator[Figure]:
     path = verdict.contour
     assert path is not None
     gap = path.gap
-    where = f"at X{gap.x_mm:.3f} Y{gap.y_mm:.3f}; {gap.bare_share:.1e} of the area beyond half a pitch; asked: 1.02"
+    where = f"at X{gap.x_mm:.3f} Y{gap.y_mm:.3f}; asked: 1.02"
     nominal_s = verdict.path_length_mm / FEED_MM_PER_S
     yield Figure(
         "  entries, lifts, rapids inside", path.entries, "", f"{path.entries - 1}, {path.rapids_inside}; asked: 1, 0, 0"

@@ -41,7 +41,12 @@ def figures() -> Iterator[Figure]:
             goal = target(name, pixels)
             usual = designed(goal, plain).design.heightfield
             for said in lights:
-                yield _figure(f"{name} {pixels}, {said}", goal, plain.on_bench(light=LIGHTS[said]), usual)
+                yield _figure(
+                    f"{name} {pixels}, {said}",
+                    goal,
+                    replace(plain, bench=replace(plain.bench, light=LIGHTS[said])),
+                    usual,
+                )
 
 
 def _figure(what: str, goal: np.ndarray, settings: LensSettings, usual: Heightfield) -> Figure:

@@ -87,7 +87,7 @@ def _prepare(folder: Path, spec: JobSpec, lens: Heightfield, goal: Any) -> float
     (folder / SPEC).write_text(json.dumps(spec.plain()))
     stock, started = cam_stock_of(spec), time.perf_counter()
     block = StockGrid.block(stock, 0.25)
-    skin = lens.spline().extended(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
+    skin = lens.spline().extend(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
     top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=block.cell_mm, top_mm=skin.clip(max=0.0))
     with (folder / PROGRAM).open("wb") as file:
         for piece in generate_program(lens, cam_passes_of(spec)[-1], stock, stock_top=top, post=GRBL):

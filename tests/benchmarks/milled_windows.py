@@ -79,7 +79,7 @@ def _piece_of(lens: Heightfield) -> Heightfield:
 def _tracks(lens: Heightfield, case: Case) -> Tracks:
     """What of the rows comes near the window in the middle."""
     rows = row_tracks(lens, radius_mm=case.radius, pitch_mm=case.pitch).divide(case.chord)
-    whole = rows.made_by(step_mm=case.step, noise=Noise(sigma_mm=case.noise)).divide(_NEXT_MM)
+    whole = rows.run_on_mill(step_mm=case.step, noise=Noise(sigma_mm=case.noise)).divide(_NEXT_MM)
     away = np.abs(whole.tips_mm[:, :2] - _middle(lens)).max(axis=1)
     near = away < case.window / 2 + 0.3 * case.radius + 0.3
     joined = whole.joined & near & np.roll(near, 1)

@@ -15,6 +15,7 @@ from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Tracks
 from cam.contour.path import contour_path
+from cam.duration import Kinematics
 from cam.moves import cut, rapid
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, finish_layers_s
@@ -32,7 +33,6 @@ from optics.milled import simulate_milled
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.sentences import finish_words
-from service.job.spec.lens_task import kinematics_of
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from tests.benchmarks.pictures import PAPER_SETTING, target
@@ -83,7 +83,7 @@ def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: Machi
     tracks = _tracks(lens, finish)
     if mill.whole_steps:
         tracks = _on_whole_steps(tracks, mill, finish)
-    tracks = tracks.made_by(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
+    tracks = tracks.run_on_mill(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
     surface = MilledSurface.of_tracks(
         [tracks],
         lens,
@@ -114,7 +114,7 @@ def _on_whole_steps(tracks: Tracks, mill: MachineProfile, finish: PassSpec) -> T
 
 
 def _paper_hours(paper: ResolvedJob, lens: Heightfield, planned: Planned) -> float:
-    form, mill = LensForm.of(lens), kinematics_of(planned.machine)
+    form, mill = LensForm.of(lens), Kinematics.of(planned.machine)
     rough, semi, finish = cam_passes_of(paper.spec)
     whole = first_pass_s(form, rough, mill, safe_z_mm=paper.machine.safe_z_mm)
     for spec, before in ((semi, rough), (finish, semi)):

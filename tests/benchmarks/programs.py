@@ -64,7 +64,7 @@ def _whole_pass() -> Iterator[Figure]:
     finish = PAPER_PASSES[2]
     # what rough 2 leaves: a thin skin everywhere, so that the finish is one layer
     left = StockGrid.block(stock, 0.25)
-    skin = lens.spline().extended(12.0).heights_mm(left.x_mm[None, :], left.y_mm[:, None]) + 0.05
+    skin = lens.spline().extend(12.0).heights_mm(left.x_mm[None, :], left.y_mm[:, None]) + 0.05
     top = replace(left, top_mm=skin)
     for run in ("first", "second"):
         started, cpu = time.perf_counter(), time.process_time()

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from optics.contact import wear_surface
-from optics.finish import Finish, finish_lens, finish_surface, level
+from optics.finish import Finish, finish_lens, level
 from optics.heightfield import Array, Heightfield
+from tests.optics.witness_photographs import wear_in_steps
 
 FELT = Finish(k0_rad_per_mm=2.0, order=1.0, pad_mm=10.0, depth_mm=0.02)
 FINISHES = st.builds(
@@ -48,7 +49,7 @@ def test_nothing_is_ever_added_and_the_depth_comes_off(
 ) -> None:
     seed, ny, nx, cell_mm = rough
     kept = finish.multipliers((ny, nx), (cell_mm, cell_mm))
-    worn = wear_surface(height_mm * wavy((ny, nx), seed=seed), kept, finish.depth_mm, steps=steps)
+    worn = wear_in_steps(height_mm * wavy((ny, nx), seed=seed), kept, finish.depth_mm, steps=steps)
     assert worn.removal_mm.min() >= 0.0
     assert (worn.removal_mm * nodes((ny, nx))).sum() == pytest.approx(finish.depth_mm, rel=1e-9)
     assert worn.residual < 0.01
@@ -63,7 +64,7 @@ def test_where_it_touches_everywhere_the_law_is_linear(
     seed, ny, nx, cell_mm = rough
     kept = finish.multipliers((ny, nx), (cell_mm, cell_mm))
     heights = 0.1 * finish.depth_mm / steps * wavy((ny, nx), seed=seed)  # no wave of them exceeds what comes off
-    worn = wear_surface(heights, kept, finish.depth_mm, steps=steps)
+    worn = wear_in_steps(heights, kept, finish.depth_mm, steps=steps)
     assert worn.touched.all()
     np.testing.assert_allclose(
         worn.removal_mm, heights - level(heights, kept) + finish.depth_mm, atol=1e-6 * finish.depth_mm
@@ -106,7 +107,7 @@ def test_many_small_explicit_steps_of_preston_by_dense_matrices_agree(order: flo
     off = start - z
     assert (off * weights).sum() == pytest.approx(finish.depth_mm, rel=1e-3)
     for steps, most in ((2, 0.06), (8, 0.03)):
-        worn = wear_surface(start, kept, finish.depth_mm, steps=steps)
+        worn = wear_in_steps(start, kept, finish.depth_mm, steps=steps)
         assert np.abs(worn.removal_mm - off).max() < most * off.max()
         assert worn.touched.mean() == pytest.approx((off > 1e-3 * off.max()).mean(), abs=0.05)
 
@@ -121,7 +122,7 @@ def test_a_wave_is_touched_as_westergaard_found(share: float) -> None:
     height_mm = 0.02 * k0 / k[wave] / full  # p* / P = height / K(k)
     heights = np.tile(height_mm * np.cos(np.pi * wave * np.arange(count) / (count - 1)), (3, 1))
     kept = np.exp(-moment * np.hypot(k[None, :], 1e3 * np.arange(3)[:, None]) / k0)
-    worn = wear_surface(heights, kept, 0.02 * moment, steps=1)
+    worn = wear_in_steps(heights, kept, 0.02 * moment, steps=1)
     assert worn.touched.mean() == pytest.approx(share, abs=0.02)
 
 
@@ -141,7 +142,7 @@ def test_smoothing_ends_at_a_limit_that_grows_with_the_pressure(times: float, le
     finish = replace(FELT, k0_rad_per_mm=0.5, pad_mm=24.0)
     k = 2 * np.pi / 3.0
     first = 4 / 7  # of three steps
-    bound_mm = first * finish.depth_mm / (1.0 - float(finish.kept(k)) ** first)
+    bound_mm = first * finish.depth_mm / (1.0 - float(finish.compute_kept(k)) ** first)
     lens = Heightfield(
         x_mm=axis, y_mm=axis, z_mm=np.tile(times * bound_mm * (np.cos(k * axis) - 1.0), (axis.size, 1)), rim_mm=50.0
     )
@@ -186,7 +187,7 @@ def test_a_finish_by_contact_never_adds_and_says_what_it_touches() -> None:
     assert np.ptp(off[bottom]) < 1e-9
     assert off[bottom].min() == pytest.approx(off.min(), abs=1e-9)
     assert 0.7 < done.contact_share < 0.97
-    filled = finish_surface(lens, replace(FELT, depth_mm=None))
+    filled = finish_lens(lens, replace(FELT, depth_mm=None)).lens
     added = (filled.z_mm - filled.z_mm[0, 0]) - (lens.z_mm - lens.z_mm[0, 0])
     assert added[bottom].mean() > 0.1
     assert finish_lens(lens, replace(FELT, depth_mm=None)).contact_share == 1.0
@@ -197,8 +198,8 @@ def test_marks_stay_where_the_tool_does_not_reach() -> None:
     lens, finer, beyond = creased(0.5), 2, 20
     x = np.arange(400 + 1 + 2 * beyond)
     marks = np.broadcast_to(1e-3 * np.cos(2 * np.pi * x / 8.0), (x.size, x.size))
-    with_marks = finish_surface(lens, FELT, departure_mm=marks, finer=finer, beyond_cells=beyond)
-    alone = finish_surface(lens, FELT, finer=finer)
+    with_marks = finish_lens(lens, FELT, departure_mm=marks, finer=finer, beyond_cells=beyond).lens
+    alone = finish_lens(lens, FELT, finer=finer).lens
     left = with_marks.z_mm - alone.z_mm
     bottom = alone.z_mm < alone.z_mm.max() - 0.47
     assert left[bottom].std() > 0.9e-3 / math.sqrt(2.0)

@@ -13,7 +13,7 @@ from optics.ball_fit import ball_fits
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
-from optics.finish import Finish, finish_surface
+from optics.finish import Finish, finish_lens
 from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings
 from optics.metrics import psnr_db, smallest_detail_mm
@@ -48,7 +48,7 @@ def test_a_mark_keeps_the_height_that_the_transfer_function_says(
     """H(k) = exp(-(k / k0)^order), whatever its direction; shorter than the tool in the hand."""
     lens, wave = rippled(period, turn=turn)
     finish = Finish(k0_rad_per_mm=k0, order=order, pad_mm=20.0)
-    left = height_left(finish_surface(lens, finish), wave)
+    left = height_left(finish_lens(lens, finish).lens, wave)
     assert left == pytest.approx(
         1e-3 * float(finish.transfer(2 * np.pi / period)), abs=8e-6
     )  # the ripple ends at the rim
@@ -59,7 +59,7 @@ def test_form_longer_than_the_tool_is_followed() -> None:
     axis = np.linspace(0.0, 100.0, 257)
     x, y = np.meshgrid(axis, axis)
     lens = Heightfield(x_mm=axis, y_mm=axis, z_mm=15.0 * np.cos(2 * np.pi * x / 200) * np.cos(np.pi * y / 200) - 16.0)
-    done = finish_surface(lens, Finish(k0_rad_per_mm=3.0, order=1.0, pad_mm=10.0))
+    done = finish_lens(lens, Finish(k0_rad_per_mm=3.0, order=1.0, pad_mm=10.0)).lens
     inner = np.s_[64:-64, 64:-64]
     change = done.z_mm[inner] - lens.z_mm[inner]
     assert np.abs(change - change.mean()).max() < 0.03
@@ -71,7 +71,7 @@ def test_what_is_as_long_as_the_tool_is_half_mark_and_half_form(pad_mm: float) -
     lens, wave = rippled(2 * pad_mm)
     finish = Finish(k0_rad_per_mm=1.6 / pad_mm, order=4.0, pad_mm=pad_mm)
     assert finish.transfer(np.pi / pad_mm) < 1e-5
-    assert height_left(finish_surface(lens, finish), wave) == pytest.approx(1e-3 * np.exp(-1.0), rel=0.03)
+    assert height_left(finish_lens(lens, finish).lens, wave) == pytest.approx(1e-3 * np.exp(-1.0), rel=0.03)
 
 
 def test_departures_are_levelled_with_the_lens() -> None:
@@ -81,8 +81,8 @@ def test_departures_are_levelled_with_the_lens() -> None:
     count = (VERTICES - 1) * finer + 1 + 2 * beyond
     x = (np.arange(count) - beyond) * lens.dx_mm / finer - SIDE_MM / 2
     marks = np.broadcast_to(1e-3 * np.cos(2 * np.pi * x / 0.8), (count, count))
-    with_marks = finish_surface(lens, finish, departure_mm=marks, finer=finer, beyond_cells=beyond)
-    alone = finish_surface(lens, finish, finer=finer)
+    with_marks = finish_lens(lens, finish, departure_mm=marks, finer=finer, beyond_cells=beyond).lens
+    alone = finish_lens(lens, finish, finer=finer).lens
     inner = np.s_[200:-200, 200:-200]
     left = (with_marks.z_mm - alone.z_mm)[inner]
     expected = float(finish.transfer(2 * np.pi / 0.8)) * marks[beyond:-beyond, beyond:-beyond][inner]
@@ -109,7 +109,7 @@ def test_a_lens_made_for_its_finish_shows_more_behind_it_whatever_comes_of_it(de
     lenses = [design_lens(target, task).heightfield for task in (plain, replace(plain, finish=finish))]
     for share, gain_db in ((1.0, 5.0), (0.8, 3.0), (1.25, 2.0)):
         done = finish.after(share**-finish.order)
-        seen = [simulate_caustic(finish_surface(lens, done), bench, pixels=target.shape) for lens in lenses]
+        seen = [simulate_caustic(finish_lens(lens, done).lens, bench, pixels=target.shape) for lens in lenses]
         without, made_for_it = (psnr_db(one.irradiance, target) for one in seen)
         assert made_for_it > without + gain_db, share
     assert ball_fits(lenses[1], 0.5)

@@ -8,9 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 
-from optics.foreseen import sharpen, spread_evenly
+from optics.foreseen import _box, _spread, sharpen
 
 SIDE = 64
+
+
+def spread_evenly(light: np.ndarray, blur_px: tuple[float, float]) -> np.ndarray:
+    out = np.empty_like(light)
+    _spread(light, _box(blur_px[0]), _box(blur_px[1]), np.empty_like(light), out)
+    return out
 
 
 def picture() -> np.ndarray:

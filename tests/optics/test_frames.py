@@ -19,6 +19,7 @@ from optics.outline import is_inside
 from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.transport.solver import OpticalPath, solve_transport
 from optics.transport_map import screen_positions
+from tests.optics.areas import areas_mm2
 
 PIXELS = 48
 GAUSS = np.exp(-1.5 * (np.linspace(-1, 1, 21)[:, None] ** 2 + np.linspace(-1, 1, 21)[None, :] ** 2))
@@ -133,7 +134,7 @@ def test_a_convex_outline_gets_all_of_the_frame(outline: np.ndarray, soft_pictur
     solution = solve_transport(target, bench, skim_mm=0.1)
     assert solution.converged
     lens, corners = lens_of(solution), solution.transport_map()
-    area = corners.collect_areas_mm2()
+    area = areas_mm2(corners.lens_mm)
     x, y = outline.T
     whole = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
     assert area.sum() == pytest.approx(whole, rel=0.01)  # the rim is followed by chords of a pixel's width

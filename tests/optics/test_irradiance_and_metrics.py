@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from optics.errors import TargetError
 from optics.irradiance import picture_from_irradiance, target_irradiance
-from optics.metrics import score_caustic
+from optics.metrics import score_caustic, seen_db
 
 
 @pytest.mark.parametrize("viewed_from", ["lens", "behind"])
@@ -78,3 +81,21 @@ def test_structural_similarity_is_that_of_scikit_image(shape: tuple[int, int], r
     target /= target.mean()
     irradiance = target * (1 + 0.3 * rng.standard_normal(shape))
     assert score_caustic(irradiance, target).ssim == pytest.approx(recorded, abs=1e-12)
+
+
+@given(
+    st.floats(0.1, 10.0), st.floats(0.0, 3.0), st.floats(0.02, 0.2), st.sampled_from([(64, 48), (512, 384), (130, 129)])
+)
+def test_an_eye_sees_neither_exposure_nor_grain_finer_than_it_resolves(
+    gain: float, lift: float, noise: float, shape: tuple[int, int]
+) -> None:
+    rng = np.random.default_rng(1)
+    smooth = gaussian_filter(rng.random(shape), 8.0)
+    target = 1.0 + 0.3 * (smooth - smooth.mean()) / smooth.std()
+    unlike = rng.standard_normal(shape) * noise
+    assert seen_db(gain * target + lift, target) > 90.0
+    grain = unlike - uniform_filter(unlike, 4, mode="wrap")
+    ours, worse = target + grain, target + 2.0 * grain
+    assert seen_db(ours, target) > seen_db(worse, target)
+    if max(shape) == 512:  # four pixels in one: a quarter of the noise
+        assert seen_db(ours, target) > seen_db(ours[::4, ::4], target[::4, ::4]) + 6.0

@@ -13,7 +13,7 @@ from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.corrections import correct_lens
 from optics.design import design_lens
-from optics.finish import Finish, finish_surface
+from optics.finish import Finish, finish_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
 from optics.lens_settings import LensSettings
@@ -132,7 +132,7 @@ def test_polish_behind_a_finish_leaves_the_rims_as_smooth_as_the_rest(dark: tupl
     frame = np.ones(target.shape, dtype=np.bool_)
     frame[2:-2, 2:-2] = False
     before, after = (
-        simulate_caustic(finish_surface(one, finish), bench, pixels=target.shape).irradiance for one in (start, done)
+        simulate_caustic(finish_lens(one, finish).lens, bench, pixels=target.shape).irradiance for one in (start, done)
     )
     assert np.square(after - target)[frame].mean() < 1.2 * np.square(before - target)[frame].mean()
 

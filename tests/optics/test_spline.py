@@ -30,7 +30,7 @@ def test_spline_is_scipys_not_a_knot_spline(seed: int) -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_run_out_leaves_the_lens_alone_and_is_smooth_across_the_rim(seed: int) -> None:
     spline = random_lens(seed).spline()
-    longer = spline.extended(4.0)
+    longer = spline.extend(4.0)
     rng = np.random.default_rng(seed)
     x, y = 11.0 * rng.random(20), 6.0 * rng.random(20)
     np.testing.assert_allclose(longer.jets(x, y), spline.jets(x, y), atol=1e-10)
@@ -38,7 +38,7 @@ def test_run_out_leaves_the_lens_alone_and_is_smooth_across_the_rim(seed: int) -
     np.testing.assert_allclose(inside, outside, atol=1e-3)  # second derivatives are continuous
     height, slope, _, bend, *_ = spline.jets(0.0 * y, y)
     most_mm = (1.0 + 6.0) * np.abs(slope) + 0.6 * np.abs(bend) + 0.3 * 41  # cells of 1 mm; fade_mm, droop
-    assert (np.abs(spline.extended(40.0).heights_mm(-40.0, y) - height) < most_mm).all()  # the slope dies out
+    assert (np.abs(spline.extend(40.0).heights_mm(-40.0, y) - height) < most_mm).all()  # the slope dies out
 
 
 @pytest.mark.parametrize("side", [20, 230])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from optics.contact import wear_surface
+from optics import contact
+from optics.contact import Wear, wear_surface
 from optics.finish import Finish
 from optics.spline import Array
 from optics.witness import Strip
@@ -23,7 +25,20 @@ def work_strip(heights_mm: Array, finish: Finish, depth_mm: float, dose: float) 
     reached = replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * dose ** (-1 / finish.order))
     same = np.tile(heights_mm, (3, 1))
     multipliers = reached.multipliers(same.shape, (CELL_MM, CELL_MM))
-    return np.asarray((same - wear_surface(same, multipliers, depth_mm * dose, steps=4).removal_mm)[1])
+    return np.asarray((same - wear_in_steps(same, multipliers, depth_mm * dose, steps=4).removal_mm)[1])
+
+
+def wear_in_steps(heights_mm: Array, multipliers: Array, depth_mm: float, *, steps: int) -> Wear:
+    with mock.patch.object(contact, "STEPS", steps):
+        return wear_surface(heights_mm, multipliers, depth_mm)
+
+
+def rough_heights_mm(strip: Strip, noise_mm: float, *, seed: int) -> tuple[Array, Array]:
+    """As `strip_heights_mm`, of rows whose tips are off by noise."""
+    places, tips = strip.rows()
+    tips = tips + noise_mm * np.random.default_rng(seed).standard_normal(tips.size)
+    with mock.patch.object(Strip, "rows", return_value=(places, tips)):
+        return strip_heights_mm(strip)
 
 
 def light_on_paper(
@@ -36,7 +51,7 @@ def light_on_paper(
     lever      : of the paper, over its nominal one
     lamp_mm    : standard deviation of the blur there
     """
-    u, milled = strip_heights_mm(strip, noise_mm=noise_mm, seed=seed)
+    u, milled = rough_heights_mm(strip, noise_mm, seed=seed)
     heights = work_strip(milled, finish, depth_mm, dose)
     fine = np.linspace(covered_mm[0], strip.length_mm - covered_mm[1], 60 * round(_PER_MM * strip.length_mm))
     slope = np.interp(fine, u, np.gradient(heights, u[1] - u[0]))

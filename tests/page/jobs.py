@@ -70,12 +70,16 @@ def with_plan(job: dict[str, Any], number: int, chosen: int = 2) -> dict[str, An
     first = plan["candidates"][0]
     rows = [
         first | {
-            "hours": hours, "hours_by_pass": [hours / 4, 3 * hours / 4], "psnr_db": 20.0 + at, "ssim": 0.5 + at / 20,
+            "hours": hours, "hours_by_pass": [hours / 4, 3 * hours / 4], "psnr_db": 20.0 + at,
+            "seen_db": 8.0 + at, "ssim": 0.5 + at / 20,
             "blur_mm": 0.8 / (at + 1), "blur_px": 4.0 / (at + 1), "words": f"ball {at}",
             "warning": None if at else "fine hair is lost",
             "spec": first["spec"] | {"passes": [row | {"pitch_mm": 0.5 / (at + 1)} for row in first["spec"]["passes"]]},
         }
         for at, hours in enumerate(PLAN_HOURS)
     ]  # fmt: skip
-    plan |= {key: rows[chosen][key] for key in ("hours", "psnr_db", "blur_mm")} | {"chosen": chosen, "candidates": rows}
+    plan |= {key: rows[chosen][key] for key in ("hours", "psnr_db", "seen_db", "blur_mm")} | {
+        "chosen": chosen,
+        "candidates": rows,
+    }
     return like(job, number, report=job["report"] | {"plan": plan})

@@ -17,7 +17,7 @@ from cam.materials import MATERIALS
 from service.job.picture.light_png import picture_png
 from service.job.picture.linear_light import linear_to_srgb
 from service.job.spec.loading import resolve_spec
-from service.wording import psnr_in_words
+from service.wording import likeness_in_words
 from tests.page import canned_job
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
@@ -53,7 +53,7 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     choose(page, picture())
     estimate = page.get_by_role("region", name="Estimate")
     expect(estimate).to_contain_text("Machine time")
-    expect(page.locator(".told")).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
+    expect(page.locator(".told")).to_have_text(likeness_in_words(ESTIMATE_EXAMPLE["seen_db"]))
     expect(estimate.get_by_role("list", name="Passes").get_by_role("listitem")).to_have_count(
         len(ESTIMATE_EXAMPLE["passes"])
     )
@@ -136,7 +136,7 @@ def test_the_wall_shows_the_light_of_the_estimate_and_until_it_is_there_the_pict
     after(asked, 2, page)
     asked[-1].fulfill(json=ESTIMATE_EXAMPLE | even(0.25))
     shows_light(0.25)
-    expect(told).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
+    expect(told).to_have_text(likeness_in_words(ESTIMATE_EXAMPLE["seen_db"]))
     expect(page.locator(".stale")).to_have_count(0)
     fill(page, Distance_to_the_wall="200")
     shows_picture()
@@ -147,7 +147,7 @@ def test_the_wall_shows_the_light_of_the_estimate_and_until_it_is_there_the_pict
     shows_picture()
     fill(page, Distance_to_the_wall="150")
     after(asked, 4, page)
-    asked[-1].fulfill(json=ESTIMATE_EXAMPLE | {"psnr_db": None, "wall": None})
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE | {"psnr_db": None, "seen_db": None, "wall": None})
     expect(told).to_have_text("no pass finishes the lens: the wall shows no picture")
     expect(wall(page)).to_have_css("opacity", "0.4")
 
@@ -239,13 +239,13 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
 
     def foretell(route: Route) -> None:
         spec = parts(route)[0]
-        seen = {"psnr_db": 18.0, "changes": CHANGES}
+        seen = {"psnr_db": 18.0, "seen_db": 8.0, "changes": CHANGES}
         if spec.get("optics", {}).get("width_mm") == 150:
-            seen |= {"psnr_db": 22.0, **even(0.5)}
+            seen |= {"psnr_db": 22.0, "seen_db": 12.0, **even(0.5)}
         elif "throw_mm" in spec.get("optics", {}):
             seen |= {"psnr_db": 30.0, "refusals": [{"field": "spec.optics.throw_mm", "detail": "too near"}]}
         elif spec.get("image", {}).get("prepare") == "detail":
-            seen |= {"psnr_db": 24.0, **even(0.25)}
+            seen |= {"psnr_db": 24.0, "seen_db": 14.0, **even(0.25)}
         route.fulfill(json=ESTIMATE_EXAMPLE | seen)
 
     page.route("**/v1/estimates", foretell)
@@ -255,7 +255,7 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
     expect(shown.get_by_role("button")).to_have_text(
         ["A picture prepared for what will show", "A lens of 150 x 150 mm"]
     )
-    expect(shown.get_by_role("listitem").nth(1)).to_contain_text(psnr_in_words(22.0))
+    expect(shown.get_by_role("listitem").nth(1)).to_contain_text(likeness_in_words(12.0))
     for number, level in enumerate((0.25, 0.5)):  # what the wall shows of each is of its own estimate
         expect(shown.get_by_role("listitem").nth(number).locator("img")).to_have_attribute("src", even(level)["wall"])
     shown.get_by_role("button", name="A lens of").click()
@@ -265,11 +265,11 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
     expect(page.get_by_label("Width", exact=True)).not_to_have_value("150")
 
 
-@pytest.mark.parametrize(("way", "psnr_db"), [("&show=more", 18.0), ("&show=more", 24.5), ("", 18.0)])
-def test_who_comes_from_a_job_for_what_shows_more_is_led_there(opened: Opened, way: str, psnr_db: float) -> None:
+@pytest.mark.parametrize(("way", "seen_db"), [("&show=more", 8.0), ("&show=more", 14.5), ("", 8.0)])
+def test_who_comes_from_a_job_for_what_shows_more_is_led_there(opened: Opened, way: str, seen_db: float) -> None:
     """And it is worked out, whatever the estimate says; a plain copy begins at its top."""
     page = open_blank(opened, "new", size="phone")
-    told = {"psnr_db": psnr_db, "changes": CHANGES[:1]}
+    told = {"seen_db": seen_db, "changes": CHANGES[:1]}
     page.route(
         "**/v1/estimates",
         lambda route: route.fulfill(

@@ -16,7 +16,7 @@ from playwright.sync_api import Page, Route, expect
 from service.job.picture.linear_light import invert_tones, linear_to_srgb, srgb_to_linear
 from service.job.spec.loading import DEFAULT_JOB, resolve_spec
 from service.job.spec.model import JobSpec
-from service.wording import psnr_in_words
+from service.wording import likeness_in_words
 from tests.page import canned_job
 from tests.page.browser import Watched, open_blank
 from tests.page.canned_job import ESTIMATE_EXAMPLE
@@ -538,7 +538,7 @@ def test_who_has_no_picture_begins_with_an_example_and_the_first_view_is_light(w
     examples.get_by_role("button", name="Logo").click()
     expect(wall(page)).to_be_visible()
     expect(page.get_by_label("Name of the job")).to_have_value("Logo")
-    expect(page.locator(".told")).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
+    expect(page.locator(".told")).to_have_text(likeness_in_words(ESTIMATE_EXAMPLE["seen_db"]))
 
 
 SLOW_TO_OPEN = """const open = createImageBitmap;

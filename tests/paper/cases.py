@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -155,7 +155,7 @@ def slope_rms_mrad(result: Result) -> float:
 
 def seen(heightfield: Heightfield, pixels: int, throw_mm: float = THROW_MM) -> np.ndarray:
     """The light on a screen of the lens's size, throw_mm above Z0."""
-    bench = SETTING.on_bench(throw_mm=throw_mm).bench
+    bench = replace(SETTING.bench, throw_mm=throw_mm)
     return simulate_caustic(heightfield, bench, pixels=(pixels, pixels)).irradiance
 
 

@@ -11,14 +11,13 @@ import numpy as np
 from cam.checking.check import PassCheck, check_program
 from cam.checking.path_quality import PathMeasures
 from cam.checking.removal import RemovalGrid
-from cam.duration import DurationModel
+from cam.duration import DurationModel, Kinematics
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.dialects import GRBL
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 from machines.profile import load_profile
 from optics.heightfield import Heightfield
-from service.job.spec.lens_task import kinematics_of
 from tests.cam.programs import generate_program, measure_program, read_program
 from tests.paper.cases import SIDE_MM, by_transport
 
@@ -63,7 +62,7 @@ def block_of(lens: Heightfield) -> Stock:
 
 def skin_over(lens: Heightfield) -> StockGrid:
     block = StockGrid.block(block_of(lens), 0.25)
-    top = lens.spline().extended(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
+    top = lens.spline().extend(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
     return replace(block, top_mm=np.minimum(top, 0.0))
 
 
@@ -73,7 +72,7 @@ def moves_of(lens: Heightfield, spec: PassSpec, stock_top: StockGrid) -> Iterato
 
 
 def finish_path(lens: Heightfield, spec: PassSpec) -> FinishPath:
-    duration, lines = DurationModel(kinematics_of(load_profile("grbl"))), 0
+    duration, lines = DurationModel(Kinematics.of(load_profile("grbl"))), 0
 
     def timed() -> Iterator[MoveBatch]:
         nonlocal lines
@@ -102,7 +101,7 @@ def three_passes(lens: Heightfield, corner_mm: float, sides_mm: tuple[float, ...
             spec=spec,
             stock=stock,
             stock_top=before,
-            kinematics=kinematics_of(machine),
+            kinematics=Kinematics.of(machine),
             safe_z_mm=machine.safe_z_mm,
         )
         place = _cut(text, spec, _bare(corner_mm, side_mm / 400, 400, 400))

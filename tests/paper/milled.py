@@ -43,7 +43,7 @@ def milled(pixels: int, side_mm: float, pitch_mm: float, noise_mm: float) -> Mil
     """The whole part, rows along x."""
     lens, bench = by_transport(PICTURE, pixels, side_mm).heightfield, setting(side_mm).bench
     started = time.process_time()
-    tracks = row_tracks(lens, radius_mm=RADIUS_MM, pitch_mm=pitch_mm).made_by(noise=Noise(sigma_mm=noise_mm))
+    tracks = row_tracks(lens, radius_mm=RADIUS_MM, pitch_mm=pitch_mm).run_on_mill(noise=Noise(sigma_mm=noise_mm))
     surface = MilledSurface.of_tracks(
         [tracks],
         lens,

@@ -10,7 +10,7 @@ import pytest
 import sqlalchemy as sa
 import structlog
 
-from service.server.database.connection import open_database
+from service.server.database.schema import open_database
 from service.settings import ServerSettings
 from tests.levels import DATABASES
 from tests.service import databases

@@ -9,7 +9,8 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from service.server.database.connection import connect, upgrade_schema
+from service.server.database.connection import connect
+from service.server.database.schema import upgrade_schema
 from service.server.queue.dbos import DbosEngine
 from service.settings import ServerSettings
 from tests.service.server.worker.postgres import Postgres

@@ -50,7 +50,7 @@ class Bench:
     def holds_nothing(self) -> bool:
         """No line is left in the controller that a cycle start could cut."""
         firmware = self.mill.firmware
-        return not firmware.stepper.planner.blocks and firmware.task is None and not self.mill.serial.used(inf)
+        return not firmware.stepper.planner.blocks and firmware.task is None and not self.mill.serial.count_used(inf)
 
     def unplug(self) -> None:
         self.mill.unplug()

@@ -22,7 +22,7 @@ import numpy as np
 
 from cam.moves import SAFE_Z_MM
 from cam.parts import PartLimits
-from cam.passes import PassSpec, Stock, paper_passes
+from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.dialects import POSTS
 from cam.posts.post import ProgramSetup
 from cam.program import generate_parts
@@ -75,8 +75,8 @@ def _passes(dialect: str) -> Iterator[tuple[PassSpec, list[bytes]]]:
     lens = bumps(side_mm=SIDE_MM)
     stock = Stock(width_mm=SIDE_MM, height_mm=SIDE_MM, thickness_mm=20.0, margin_mm=4.0)
     top = StockGrid.block(stock, 0.1)
-    rough, semi, finish = paper_passes()
-    skin = lens.spline().extended(4.0).heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.05
+    rough, semi, finish = PAPER_PASSES
+    skin = lens.spline().extend(4.0).heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.05
     skinned = replace(top, top_mm=np.minimum(skin, top.top_mm))
     finish, raised = replace(finish, pitch_mm=0.05), ProgramSetup(top_z_mm=SAFE_Z_MM)
     for spec, left, limits in (

@@ -17,14 +17,13 @@ import skimage
 
 from cam.checking.check import RAPID_CLEARANCE_MM
 from cam.checking.removal import RemovalGrid
-from cam.duration import DurationModel
+from cam.duration import DurationModel, Kinematics
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid
 from machines.preflight.preflight import limits_of
 from machines.profile import profile_names
 from service.job import pipeline
 from service.job.files import files_of_pass, read_chunks
-from service.job.spec.lens_task import kinematics_of
 from service.job.spec.loading import load_stored_job, resolve_job
 from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.programs import first_stock
@@ -113,7 +112,7 @@ def _cut_pass(
     paths: list[Path], job: ResolvedJob, radius_mm: float, left: StockGrid
 ) -> tuple[float, np.ndarray, StockGrid]:
     """Return the seconds of a pass, whether each descent (feeds under Z0 without a break) cuts, and the stock left."""
-    duration = DurationModel(kinematics_of(job.machine))
+    duration = DurationModel(Kinematics.of(job.machine))
     grid = RemovalGrid(left, radius_mm=radius_mm, rapid_clearance_mm=RAPID_CLEARANCE_MM)
     depths, feeds = [np.zeros(1)], []
     for batch in read_parts(map(read_chunks, paths), LANGUAGES[job.machine.dialect]):

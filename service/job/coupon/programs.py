@@ -114,7 +114,7 @@ def _write_predictions(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None
         finish = finish_of(job.spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
         light = predict_light(
-            job, made, (None, None if finish is None else finish.kept, *finishes), on_progress=on_progress
+            job, made, (None, None if finish is None else finish.compute_kept, *finishes), on_progress=on_progress
         )
         without_errors = predict_light(job, clean, (finishes[0],))[0]
     for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from cam.duration import Kinematics
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
-from service.job.files import atomic_file
+from service.job.files import atomic_file, make_header_line
 from service.job.page_data.points import HIDDEN, PAUSE, RAPID, Chords, MovePoints, Points, Thinner, no_box, widen
-from service.job.page_data.surface import header_line
 
 MOST_POINTS = 60_000
 """Of the coarsest level."""
@@ -102,7 +101,7 @@ class PathDrawing:
         self._full.finish()
         points = Points.none()
         for level, chords in zip(self._levels, self._chords, strict=True):
-            points = Points.joined([chords.add(points), chords.rest()])
+            points = Points.join([chords.add(points), chords.rest()])
             level.add(points)
             level.finish()
 
@@ -160,7 +159,7 @@ def make_header(facts: Mapping[str, Any], levels: list[Level]) -> bytes:
     """Make the header. Its offsets depend on its length, which depends on their digits, so it takes a few rounds."""
     length = 0
     while True:
-        line = header_line({**facts, "levels": list(_rows(levels, length))})
+        line = make_header_line({**facts, "levels": list(_rows(levels, length))})
         if len(line) == length:
             return line
         length = len(line)
@@ -198,12 +197,12 @@ class Level:
         self._held.append(points)
         self._held_points += len(points)
         if self._held_points >= CHUNK_POINTS:
-            self._write_chunks(Points.joined(self._held), least=CHUNK_POINTS)
+            self._write_chunks(Points.join(self._held), least=CHUNK_POINTS)
 
     def finish(self) -> None:
         """Write the remaining points; no more will come."""
         if self._held:
-            self._write_chunks(Points.joined(self._held), least=1)
+            self._write_chunks(Points.join(self._held), least=1)
         self._held = []
 
     @property

@@ -47,7 +47,7 @@ class Points:
         return Points(mm=self.mm[chosen], time_s=self.time_s[chosen], line=self.line[chosen], kind=self.kind[chosen])
 
     @classmethod
-    def joined(cls, parts: Sequence[Points]) -> Points:
+    def join(cls, parts: Sequence[Points]) -> Points:
         if len(parts) == 1:
             return parts[0]
         return cls(
@@ -80,7 +80,7 @@ class Chords:
 
     def add(self, points: Points) -> Points:
         """Add points; return those so far that are certain to stay, each once."""
-        held = Points.joined([self._waiting, points])
+        held = Points.join([self._waiting, points])
         if not len(held):
             return held
         kept = np.empty(len(held), dtype=np.int64)
@@ -163,9 +163,9 @@ class MovePoints:
         first = Points.none() if self._begun else _begin_points(batch)
         self._begun = True
         ends_s = self._model.add_batch(batch)
-        held = Points.joined([self._waiting, made])
+        held = Points.join([self._waiting, made])
         self._waiting = held[len(ends_s) :]
-        return Points.joined([first, _set_times(held[: len(ends_s)], ends_s)])
+        return Points.join([first, _set_times(held[: len(ends_s)], ends_s)])
 
     def rest(self) -> Points:
         """Return the points that were waiting for further moves."""
@@ -210,7 +210,7 @@ class Thinner:
         if not len(points):
             return points
         first, last = self._last is None, self._last
-        held = points if last is None else Points.joined([last, points])
+        held = points if last is None else Points.join([last, points])
         ends = stretch_ends(held.mm, _STRETCH * self._unit_mm)
         drawn = np.empty(len(ends), dtype=np.bool_)
         _decide(held.mm, held.kind, ends, self._heights, self._corner_mm, self._unit_mm, drawn)

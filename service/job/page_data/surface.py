@@ -9,8 +9,7 @@ and pass-N.path begin with one line of JSON.
 from __future__ import annotations
 
 import gzip
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from optics.block import lower_by_back
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import ViewedFrom
 from optics.tubes.edges import polygon_coverage
+from service.job.files import make_header_line
 
 _CELLS = 512  # along the longer side
 _SHARP_CELLS = 1024  # for light without size, which does not blur
@@ -30,13 +30,6 @@ _MOST_LEVELS = 2**30
 _FULL = 255
 _MOST_SAMPLES = 257
 _LEVELS = 65535
-_ALIGN = 8  # bytes, for the arrays behind a header
-
-
-def header_line(facts: Mapping[str, Any]) -> bytes:
-    """Return the facts as one line; spaces before its end make its length a multiple of 8."""
-    text = json.dumps(facts, separators=(",", ":"), allow_nan=False).encode()
-    return text + b" " * (-(len(text) + 1) % _ALIGN) + b"\n"
 
 
 def surface_bytes(
@@ -58,7 +51,7 @@ def surface_bytes(
         "outline_mm": None if outline_mm is None else [list(corner) for corner in outline_mm],
     }  # fmt: skip
     levels = np.rint((z_mm - lowest_mm) / step_mm) if step_mm > 0 else np.zeros_like(z_mm)
-    return header_line(facts) + levels.astype("<u2").tobytes()
+    return make_header_line(facts) + levels.astype("<u2").tobytes()
 
 
 def light_bytes(
@@ -86,7 +79,7 @@ def light_bytes(
     }  # fmt: skip
     levels = np.rint((z_mm - z_mm[0, 0]) / step_mm).astype("<i4")
     steps = np.diff(np.diff(levels, axis=0, prepend=0), axis=1, prepend=0).astype("<i4")
-    data = header_line(facts) + steps.tobytes() + (b"" if weights is None else weights.tobytes())
+    data = make_header_line(facts) + steps.tobytes() + (b"" if weights is None else weights.tobytes())
     return gzip.compress(data, 6, mtime=0)
 
 

@@ -142,14 +142,14 @@ def look_at(
         )
     findings = tuple(_findings(photo, predicted, place, fit))
 
-    def seen(light: Array) -> Array:
+    def show(light: Array) -> Array:
         return picture_from_irradiance(light, viewed_from=predicted.viewed_from)
 
     return Look(
         findings=findings,
         figures=_figures(photo, predicted, place, fit, findings, name),
-        rectified=seen(np.where(place.usable, place.rectified, np.nan)),
-        predicted=seen(predicted.bounded),
+        rectified=show(np.where(place.usable, place.rectified, np.nan)),
+        predicted=show(predicted.bounded),
     )
 
 

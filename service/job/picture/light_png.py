@@ -19,6 +19,7 @@ from service.job.picture.resampling import resize
 
 COMPRESS_LEVEL = 3  # of 9: a third of the time of the usual 6, files a tenth larger
 THUMBNAIL_BYTES = 18_000
+_ROW_SIDE = 300
 THUMBNAIL_SIDES = (192, 168, 144, 120)  # pixels of the longer side; the last fits even if nothing can be packed
 
 
@@ -41,10 +42,10 @@ def picture_png(picture: Array, *, white: float, side: int | None = None) -> byt
     return _pack(srgb_levels(picture if side is None else _smaller(picture, side), white=white))
 
 
-def row_png(pictures: Sequence[Array], *, white: float, side: int = 300) -> bytes:
+def row_png(pictures: Sequence[Array], *, white: float) -> bytes:
     """Draw pictures (ny, nx) of one shape side by side, small, with a white gap between them and no words."""
-    levels = [srgb_levels(_smaller(picture, side), white=white) for picture in pictures]
-    gap = np.full((levels[0].shape[0], max(2, side // 30)), 255, dtype=np.uint8)
+    levels = [srgb_levels(_smaller(picture, _ROW_SIDE), white=white) for picture in pictures]
+    gap = np.full((levels[0].shape[0], _ROW_SIDE // 30), 255, dtype=np.uint8)
     return _pack(np.hstack([part for one in levels for part in (gap, one)][1:]))
 
 

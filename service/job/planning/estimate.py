@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cam.duration import Kinematics
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, layers_where_s
 from cam.planning.planner import Marks
@@ -25,7 +26,7 @@ from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.posts.dialects import POSTS
-from cam.surface.tool_surface import left_by_flat
+from cam.surface.tool_surface import compute_left_by_flat
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
@@ -44,29 +45,28 @@ from service.job.picture.light_png import picture_png
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, describe_light, predict_picture
-from service.job.planning.finished_light import blur_of
+from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, describe_light
+from service.job.planning.finished_light import FinishedLight, blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
-from service.job.planning.lenses import compute_passes, design_for_finishes, form_of, simplify
+from service.job.planning.lenses import FinishDesigns, compute_passes, form_of, simplify
 from service.job.planning.planner import plan_for_picture
+from service.job.planning.predicted_light import PictureLight
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
 from service.job.spec.cutting import MIN_FLOOR_MM
 from service.job.spec.envelope import require_travel
 from service.job.spec.lens_task import (
     branch_of,
-    digits_of,
     explain_blocked_light,
     finish_of,
-    kinematics_of,
     lens_settings,
     require_contrast,
     warn_of_reflection,
     with_branch,
 )
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import ResolvedJob, cam_passes_of, warn_of_removal, with_plan
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, digits_of, warn_of_removal, with_plan
 from service.job.stages.kept_plans import NO_PLANS, KeptPlans
 from service.wording import ball, cutter
 
@@ -161,6 +161,7 @@ def estimate(
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,
+        "seen_db": None if seen is None else seen.seen_db,
         "wall": None if seen is None else _draw_wall(seen, spec.optics.viewed_from),
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
@@ -262,10 +263,10 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
 def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...], known_s: tuple[float, ...]) -> Iterator[float]:
     """Yield the seconds of each pass; known_s: those of the first, if known."""
     form, machine = quick.form, quick.job.machine
-    mill, digits = kinematics_of(machine), digits_of(machine)
+    mill, digits = Kinematics.of(machine), digits_of(machine)
     stock_mm: Array | None = None
     for spec in specs:
-        made_mm = _left_by(quick.lens, spec)
+        made_mm = _compute_heights_left(quick.lens, spec)
         if stock_mm is not None:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm, made_rows=FEW_ROWS if known_s else ROWS)
         elif known_s:
@@ -294,19 +295,19 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array, *, made_rows: int) -> float:
     """Return the seconds of a later pass; depth_mm (ny, nx): the stock that it takes off."""
     form, machine = quick.form, quick.job.machine
-    mill = kinematics_of(machine)
+    mill = Kinematics.of(machine)
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
     own_s = rows_s(form, spec, mill, digits_of(machine), made_rows=made_rows)
     return own_s + layers_where_s(form, spec, depth_mm, mill)
 
 
-def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
+def _compute_heights_left(lens: Heightfield, spec: PassSpec) -> Array:
     """Return the heights (ny, nx) that a pass leaves: the lens as its ball reaches it, its cusps and its stock to
     leave.
     """
     if not spec.is_ball:
-        return left_by_flat(lens, spec)
+        return compute_left_by_flat(lens, spec)
     spline_z = lens.z_mm
     filled = close_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
@@ -362,17 +363,16 @@ def _predict_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Predi
         return None
     if quick.see is not None:
         return quick.see()
-    return predict_picture(
-        target,
-        quick.bench,
-        quick.form,
-        quick.missed,
-        Marks(spec=finish, slopes=slopes),
-        aims=any(quick.spec.optics.foreseen_blur_mm),
-        by_hand=finish_of(quick.spec),
-        design=design_for_finishes(target if exactly else quick.aim, quick.settings),
-        fine=exactly,
-    )
+    marks, by_hand = Marks(spec=finish, slopes=slopes), finish_of(quick.spec)
+    light = PictureLight(target, quick.bench, aims=any(quick.spec.optics.foreseen_blur_mm))
+    light.add(marks.radius_mm, quick.form, quick.missed)
+    if by_hand is None:
+        return describe_light(light, marks)
+    finished, design = FinishedLight(light, by_hand), FinishDesigns(target if exactly else quick.aim, quick.settings)
+    finished.calibrate(marks, design, fine=exactly)
+    if not exactly:
+        finished.look_at(marks, design)
+    return describe_light(finished, marks)
 
 
 def _draw_wall(seen: PredictedPicture, viewed_from: Literal["lens", "behind"]) -> str:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cam.planning.pass_time import LensForm
 from cam.planning.planner import Marks
-from optics.bench import Bench
-from optics.finish import Finish
 from optics.heightfield import Array
-from optics.metrics import psnr_db, smallest_detail_mm
-from service.job.planning.finished_light import Design, FinishedLight
+from optics.metrics import psnr_db, seen_db, smallest_detail_mm
 from service.job.planning.predicted_light import PictureLight
 
 MOST_PIXELS = 512
@@ -26,35 +22,8 @@ class PredictedPicture:
     light: Array
     target: Array
     psnr_db: float
+    seen_db: float
     detail_mm: float
-
-
-def predict_picture(
-    target: Array,
-    bench: Bench,
-    form: LensForm,
-    missed: Array,
-    marks: Marks,
-    *,
-    aims: bool,
-    by_hand: Finish | None,
-    design: Design,
-    fine: bool,
-) -> PredictedPicture:
-    """Predict what the milled lens shows of a target (ny, nx), mean 1.
-
-    missed  : light of the lens minus its aim, at any size. aims : the lens is sharpened for those rows
-    by_hand : the finish after milling and the function that designs lenses for it, fine or coarse
-    """
-    light = PictureLight(target, bench, aims=aims)
-    light.add(marks.radius_mm, form, missed)
-    if by_hand is None:
-        return describe_light(light, marks)
-    finished = FinishedLight(light, by_hand)
-    finished.calibrate(marks, design, fine=fine)
-    if not fine:
-        finished.look_at(marks, design)
-    return describe_light(finished, marks)
 
 
 def describe_light(light: PictureLight, marks: Marks) -> PredictedPicture:
@@ -64,5 +33,6 @@ def describe_light(light: PictureLight, marks: Marks) -> PredictedPicture:
         light=seen,
         target=light.target,
         psnr_db=psnr_db(seen, light.target),
+        seen_db=seen_db(seen, light.target),
         detail_mm=smallest_detail_mm(seen, light.target, light.pixel_mm[1]),
     )

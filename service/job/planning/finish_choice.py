@@ -23,9 +23,6 @@ from service.job.spec.resolve import ResolvedJob
 _NEAR = 6  # steps of _FINER within which one lens represents the finish
 _FINER = 1.12  # ratio of the minutes of two neighbouring trials
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: outside, no picture or no finish is left
-# The error of a lens as fine as the picture over that of a coarse one: this power of how much finer it is. (512 pixels
-# over 96: sanding 2.0, 2.2, 3.3 on three pictures; lacquer 2.4, 3.6, 3.6; felt, which hangs over creases, 0.8 to 1.7.)
-_FINER_LACKS, _FINER_LACKS_FILM = 0.4, 0.7
 _WORTH_DB = 0.1
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, but longer work still levels visible marks in even areas
 _CLOSE_DB = 40.0  # very close to the target: more is not worth hand work
@@ -103,7 +100,6 @@ def plan_finish(
     candidates : plans of milling, whose time and marks are reused; those with a rest pass are skipped
     margin_mm  : of the block around the lens
     """
-    finer = max(milled.goal.shape) / max(milled.target.shape)
     rows, best_of = _quickest_alike(candidates), find_best if exactly else _find_best_by_merit
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
@@ -113,8 +109,7 @@ def plan_finish(
     for process in dict.fromkeys(one.process for one, _ in ways):
         alike = [way for way in ways if way[0].process == process]
         first = best_of(_plan_all(rows_of, left_out, alike[::_NEAR], goal), goal)
-        lacks = finer ** (_FINER_LACKS_FILM if first.light.finish.depth_mm is None else _FINER_LACKS)
-        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else lacks)
+        first.light.calibrate(first.plan.chosen.marks, design)
         share_calibration(first, ways)
     if not exactly:
         best = best_of(_plan_all(rows_of, left_out, ways[::_NEAR], goal), goal)

@@ -115,7 +115,7 @@ class FinishedLight(PictureLight):
     @cached_property
     def _kept_waves(self) -> Array:
         """Return (ny, nx) the part of each wave of the picture that a lens made for the finish keeps."""
-        return _kept_of(self.finish, _picture_wave_numbers(self.target.shape, self.bench))
+        return _weigh_kept(self.finish, _picture_wave_numbers(self.target.shape, self.bench))
 
     def psnr_db(self, marks: Marks) -> float:
         return self.psnrs_db([marks])[0]
@@ -149,7 +149,7 @@ class FinishedLight(PictureLight):
         squares = self._spectra.bends_of(tuple(several))
         reaches_mm = np.array([self.reach_mm(self.lenses[one.radius_mm].form) for one in several])
         stripes = np.array([_STRIPES * self._stripe_scale[one.spec.direction] for one in several])
-        return np.asarray(reaches_mm * np.sqrt(stripes * (squares @ np.square(self.finish.kept(_ROW_WAVES)))))
+        return np.asarray(reaches_mm * np.sqrt(stripes * (squares @ np.square(self.finish.compute_kept(_ROW_WAVES)))))
 
     def is_lit(self, marks: Marks) -> bool:
         """Return whether the light of a lens for that ball has been simulated."""
@@ -172,7 +172,7 @@ class FinishedLight(PictureLight):
         """Return random stripes (count,) of standard deviation 1, as wide as those that the finish leaves."""
         side_mm = self.bench.height_mm if marks.spec.direction == "x" else self.bench.width_mm
         k = math.pi * np.arange(1, count) / side_mm
-        squares = self._spectra.bends_of((marks,))[0] * np.square(self.finish.kept(_ROW_WAVES)) / _ROW_WAVES
+        squares = self._spectra.bends_of((marks,))[0] * np.square(self.finish.compute_kept(_ROW_WAVES)) / _ROW_WAVES
         waves = np.sqrt(np.interp(k, _ROW_WAVES, squares)) * np.random.default_rng(count).standard_normal(count - 1)
         lot = idct(np.concatenate([[0.0], waves]), norm="ortho")
         return np.asarray(lot / max(float(lot.std()), 1e-300))
@@ -187,18 +187,16 @@ class FinishedLight(PictureLight):
         waves[:ny, :nx] = waves_of(seen.light)[:ny, :nx]
         self._lit[marks.radius_mm] = np.maximum(picture_of_waves(waves), 0.0)
 
-    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
+    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False) -> None:
         """Correct both guesses by a lens that is designed, milled in rows, finished and lit; keep the light of a fine
         one.
-
-        finer_lacks : error of a lens as fine as the picture over that of this one
         """
         seen = self._shine(marks, design, fine=fine)
         if fine:
             self._lit[marks.radius_mm] = seen.light
         target, self.contact_share = seen.target, seen.done.contact_share
         light = seen.light if target.shape == seen.light.shape else np.maximum(resize(seen.light, target.shape), 0.0)
-        off_free = finer_lacks * float(np.square(light - target).mean())
+        off_free = float(np.square(light - target).mean())
         finer = self.goal**2
         ny, nx = target.shape
         finer[:ny, :nx] = 0.0  # waves too fine for the coarse lens
@@ -231,7 +229,7 @@ class FinishedLight(PictureLight):
         hangs = 1.0 - done.touched[:-1, :-1].astype(np.float64)
         share = share_by_way_of(hangs, done.lens, self.bench, pixels=light.shape, tubes_per_cell=1, beams=_BEAMS)
         past = share * light
-        return np.asarray(light - past + np.maximum(picture_of_waves(self._kept(marks) * waves_of(past)), 0.0))
+        return np.asarray(light - past + np.maximum(picture_of_waves(self._compute_kept(marks) * waves_of(past)), 0.0))
 
     def _calibrate_stripes(self, marks: Marks, seen: Seen) -> None:
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
@@ -255,7 +253,7 @@ class FinishedLight(PictureLight):
     def _guess_error(self, radius_mm: float) -> float:
         """Return the mean square error estimated from the finish's waves alone, before a lens is simulated."""
         if radius_mm not in self._errors:
-            kept = _kept_of(self.finish, self._spectra.k_rad_per_mm)
+            kept = _weigh_kept(self.finish, self._spectra.k_rad_per_mm)
             lost = np.square(1.0 - kept) @ self._spectra.wanted
             closed = np.square(kept) @ self._spectra.lack_of(self.lenses[radius_mm])
             self._errors[radius_mm] = float(_EDGES * lost + _CLOSING * closed)
@@ -269,8 +267,8 @@ def _picture_wave_numbers(shape: tuple[int, ...], bench: Bench) -> Array:
     return np.asarray(np.hypot(down[:, None], across[None, :]), dtype=np.float64)
 
 
-def _kept_of(finish: Finish, k_rad_per_mm: Array) -> Array:
-    square = np.square(finish.kept(k_rad_per_mm))
+def _weigh_kept(finish: Finish, k_rad_per_mm: Array) -> Array:
+    square = np.square(finish.compute_kept(k_rad_per_mm))
     return np.asarray(square / (square + _GIVEN_UP))
 
 
@@ -291,7 +289,7 @@ def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield
     places = finished.y_mm if along_x else finished.x_mm
     length_mm = float(10 * math.ceil((places[-1] - places[0]) / 10 + 2))
     heights, spacing_mm = row_profile(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), length_mm=length_mm)
-    left = np.fft.irfft(np.fft.rfft(heights) * finish.kept(_wave_numbers(heights, spacing_mm)), heights.size)
+    left = np.fft.irfft(np.fft.rfft(heights) * finish.compute_kept(_wave_numbers(heights, spacing_mm)), heights.size)
     off = np.interp(places, places[0] + spacing_mm * np.arange(left.size), left)
     z = finished.z_mm + (off[:, None] if along_x else off[None, :])
     return Heightfield(x_mm=finished.x_mm, y_mm=finished.y_mm, z_mm=z - max(0.0, float(z.max())))

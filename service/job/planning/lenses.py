@@ -27,12 +27,11 @@ from optics.closing import close_to_radius
 from optics.corrections import Corrected, correct_lens
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
-from optics.lens_settings import STEPS_FOR_FINISH, LensSettings
-from optics.polish import polish_lens
+from optics.lens_settings import LensSettings
+from optics.polish import Polished, digest_task, polish_lens
 from optics.threads import thread_count
 from optics.transport.solver import OpticalPath, solve_transport
 from service.job.picture.resampling import resize
-from service.job.planning.finished_light import Design
 from service.job.planning.predicted_light import PictureLight, Valleys
 
 COARSE = 256  # pixels along the longer side of the picture for the lenses made here
@@ -116,29 +115,26 @@ def simplify(settings: LensSettings) -> LensSettings:
     return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
 
 
-def design_for_finishes(target: Array, settings: LensSettings) -> Design:
-    """Return a function that designs lenses for finishes by a few steps of descent: coarse ones for a single finish, or
-    one as fine as the target for all outcomes of a finish.
+class FinishDesigns:
+    """Designs lenses for finishes by a few steps of descent: coarse ones for a single finish, or one as fine as the
+    target for all outcomes of a finish, as the job would. polished: the last of these
     """
-    quick = simplify(settings)
-    whole = replace(quick, corrections=settings.corrections)
 
-    def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
-        aim, wanted = (target, whole) if fine else (_coarser(target), quick)
-        wanted = replace(wanted, finish=finish, min_radius_mm=radius_mm)
-        start, ball_mm = compute_passes(aim, wanted).best.lens, wanted.closing_radius_mm
-        lens, _ = polish_lens(
-            start,
-            aim,
-            settings.bench,
-            steps=STEPS_FOR_FINISH if fine else _COARSE_STEPS,
-            ball_mm=ball_mm,
-            finish=finish,
-            as_planned=not fine,
-        )
+    def __init__(self, target: Array, settings: LensSettings) -> None:
+        self._target, self._settings = target, settings
+        self.polished: Polished | None = None
+
+    def __call__(self, finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
+        settings, aim = (self._settings, self._target) if fine else (simplify(self._settings), _coarser(self._target))
+        settings = replace(settings, method="transport", finish=finish, min_radius_mm=radius_mm)
+        start, bench = compute_passes(aim, settings).best.lens, settings.bench
+        steps = settings.descent_steps if fine else _COARSE_STEPS
+        ball_mm = settings.closing_radius_mm
+        lens, record = polish_lens(start, aim, bench, steps=steps, ball_mm=ball_mm, finish=finish, as_planned=not fine)
+        if fine:
+            task = digest_task(start, aim, bench, steps=steps, ball_mm=ball_mm, finish=finish)
+            self.polished = Polished(z_mm=lens.z_mm, record=record, task=task)
         return lens, aim
-
-    return design
 
 
 def design_whole(light: PictureLight, marks: Marks, settings: LensSettings, *, as_given: bool) -> Heightfield:

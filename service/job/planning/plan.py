@@ -11,6 +11,7 @@ from cam.tools import Tool
 from machines.profile import MachineProfile
 from optics.heightfield import Array
 from optics.metrics import CausticScore
+from optics.polish import Polished
 from service.job.planning.finish_choice import Finishing
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom
@@ -31,6 +32,7 @@ class Planned:
     finishing: Finishing | None = None  # the finish by hand after milling
     unfinished: Plan | None = None  # the best plan without that finish
     rim_room: RimRoom | None = None  # left by the passes for the tool of that finish
+    polished: Polished | None = None  # the lens for that finish, if one as fine as the target was designed
 
     @cached_property
     def radius_of(self) -> dict[str, float]:

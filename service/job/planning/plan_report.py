@@ -57,6 +57,7 @@ def _figures(planned: Planned, one: Candidate) -> dict[str, Any]:
         "hours": one.hours,
         "hours_by_pass": [seconds / 3600 for seconds in one.seconds],
         "psnr_db": one.psnr_db,
+        "seen_db": planned.score(one).seen_db,
         "ssim": planned.score(one).ssim,
         "blur_mm": one.blur_mm,
         "blur_px": planned.blur_px(one),

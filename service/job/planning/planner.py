@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from math import ceil, inf
 
+from cam.duration import Kinematics
 from cam.materials import MATERIALS
 from cam.planning.pass_time import LensForm
 from cam.planning.planner import (
@@ -34,13 +35,13 @@ from service.job.planning.finish_choice import (
     plan_finish,
 )
 from service.job.planning.finished_light import Design
-from service.job.planning.lenses import design_for_finishes, design_whole, predict_designs, predict_lens
+from service.job.planning.lenses import FinishDesigns, design_whole, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom, measure_rim_room
 from service.job.spec.finish import BEST
-from service.job.spec.lens_task import bench_of, branch_of, digits_of, kinematics_of, lens_settings, require_contrast
-from service.job.spec.resolve import ResolvedJob, most_removal_mm3_per_min
+from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
+from service.job.spec.resolve import ResolvedJob, digits_of, most_removal_mm3_per_min
 from service.wording import duration
 
 Progress = Callable[[float], None]
@@ -70,9 +71,10 @@ def plan_for_picture(
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    design = design_for_finishes(target, settings)
+    design = FinishDesigns(target, settings)
     own_lens = None if whole is not None else partial(design_whole, light, settings=settings, as_given=not shapes)
-    return _choose_plan(job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens)
+    planned = _choose_plan(job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens)
+    return replace(planned, polished=None if planned.finishing is None else design.polished)
 
 
 def plan_for_lens(
@@ -115,7 +117,7 @@ def shop_of(job: ResolvedJob) -> Shop:
     return Shop(
         tools=job.figures.tools,
         material=MATERIALS[job.spec.stock.material],
-        mill=kinematics_of(machine),
+        mill=Kinematics.of(machine),
         spindle_rpm=machine.spindle_rpm,
         step_mm=max(machine.step_mm, digit_mm),
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,

@@ -31,7 +31,7 @@ from optics.heightfield import Array
 from optics.metrics import CausticScore, score_caustic
 from optics.threads import thread_count
 from service.job.picture.resampling import resize
-from service.job.planning.waves import Waves, lost_when_sharpened, yx_spreads
+from service.job.planning.waves import Waves, compute_lost_when_sharpened, yx_spreads
 
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
 _SEEN_PIXELS = 0.25  # blur along the rows; less is not worth sharpening
@@ -169,7 +169,7 @@ class PictureLight:
 
     def unsharpened_db(self, marks: Marks) -> float:
         """Return the PSNR of a lens that aims at the picture itself."""
-        return self.psnr_of(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
+        return self.psnr_of(self._blur_aim(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
     def settle(self, several: Iterable[Marks]) -> None:
         """Design the lenses of these balls again, sharpened for those rows; do nothing if none is sharpened."""
@@ -240,25 +240,25 @@ class PictureLight:
 
     def _error_by_rows(self, marks: Marks) -> float:
         """Return the mean square error of the waves of a lens that is sharpened as far as light allows."""
-        kept = self._kept(marks)
-        lost = lost_when_sharpened(kept) if self.aims else 1.0 - kept
+        kept = self._compute_kept(marks)
+        lost = compute_lost_when_sharpened(kept) if self.aims else 1.0 - kept
         if marks.rest is None:
             return float(np.square(lost * self.goal - kept * (self.lenses[marks.radius_mm].waves - self.goal)).mean())
         past, through = self._half_waves(marks)
-        came = kept * past + self._kept(marks.rest) * through
+        came = kept * past + self._compute_kept(marks.rest) * through
         return float(np.square(lost * self.goal - (came - kept * self.goal)).mean())
 
     def _error_by_contours(self, marks: Marks) -> float:
         """Return the mean square of waves; each place is blurred in its own direction, so squares are averaged."""
         form, along = self.lenses[marks.radius_mm].form, self._along.by_blocks
-        kept, squared = along.kept_by_contours(form, self._widen_slopes(marks), self.reach_mm(form))
+        kept, squared = along.compute_kept_by_contours(form, self._widen_slopes(marks), self.reach_mm(form))
         goal, sums = self.goal, self._along.block_sums
         if marks.rest is None:
             own_own, own_goal = self._sum_blocks(self.lenses[marks.radius_mm])
             error = (squared * own_own - 2 * kept * own_goal).sum()
         else:
             own, other = self._half_waves(marks)
-            left = along.kept(form, self._widen_slopes(marks.rest), marks.rest.spec, self.reach_mm(form))
+            left = along.compute_kept(form, self._widen_slopes(marks.rest), marks.rest.spec, self.reach_mm(form))
             error = (squared * sums(own**2) + 2 * kept * (left * sums(own * other) - sums(own * goal))).sum()
             error += (left**2 * sums(other**2) - 2 * left * sums(other * goal)).sum()
         return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
@@ -290,33 +290,33 @@ class PictureLight:
         waves = self.lenses[marks.smallest_mm].waves
         if any(self.foreseen_blur_mm(marks)):
             waves = waves + waves_of(self.aim(marks) - self.target)
-        return self._milled(marks, waves)
+        return self._blur_aim(marks, waves)
 
     def aim(self, marks: Marks) -> Array:
         """Return the target, sharpened by the blur of those rows."""
         blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
         return sharpen(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
 
-    def _milled(self, marks: Marks, waves: Array) -> Array:
+    def _blur_aim(self, marks: Marks, waves: Array) -> Array:
         """Blur the aim; a cosine transform mirrors the picture at the edges, although it is dark beyond them."""
         reach_mm = self.reach_mm(self.lenses[marks.radius_mm].form)
         edges = [
-            spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
+            spread.compute_share_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
             for spread, count, pixel_mm in zip(
                 yx_spreads(self._widen_slopes(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
             )
         ]
         if marks.rest is None:
-            blurred = self._kept(marks) * waves
+            blurred = self._compute_kept(marks) * waves
         else:
             past, through = self._split(marks, waves)
-            blurred = self._kept(marks) * past + self._kept(marks.rest) * through
+            blurred = self._compute_kept(marks) * past + self._compute_kept(marks.rest) * through
         return np.asarray(picture_of_waves(blurred) * np.outer(*edges))
 
-    def _kept(self, marks: Marks) -> Array:
+    def _compute_kept(self, marks: Marks) -> Array:
         """Return the remaining part of each wave (ny, nx)."""
         form = self.lenses[marks.radius_mm].form
-        return self._along.kept(form, self._widen_slopes(marks), marks.spec, self.reach_mm(form))
+        return self._along.compute_kept(form, self._widen_slopes(marks), marks.spec, self.reach_mm(form))
 
     def psnr_of(self, picture: Array, grain: float) -> float:
         """Return the PSNR of a smooth picture and its grain."""

@@ -92,7 +92,7 @@ def scores_against_original(map_file: Path, irradiance: Array) -> dict[str, Any]
 def score_against(irradiance: Array, original: Array) -> dict[str, float]:
     """Return PSNR and SSIM of light against the picture as it was given."""
     score = plain(asdict(score_caustic(irradiance, original)))
-    return {"psnr_db": score["psnr_db"], "ssim": score["ssim"]}
+    return {name: score[name] for name in ("psnr_db", "seen_db", "ssim")}
 
 
 def _black_share(spec: JobSpec, original: Array) -> float:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from service.job.spec.model import USUAL_ROWS, JobSpec
 
-FINISH_BYTES_PER_MM, ROUGH_BYTES_PER_MM = (
-    160.0,
-    20.0,
-)  # per mm of path, measured on a photograph; right within a factor of three
+FINISH_BYTES_PER_MM, ROUGH_BYTES_PER_MM = 160.0, 20.0  # of path, on a photograph; right within a factor of three
 SURE = 4.0  # a disk with less than the estimate over this number certainly cannot hold them
 
 

@@ -47,15 +47,15 @@ class Waves:
         whole = values[: ny * _BLOCK, : nx * _BLOCK]
         return np.asarray(whole.reshape(ny, _BLOCK, nx, _BLOCK).sum(axis=(1, 3)))
 
-    def kept(self, form: LensForm, slopes: RowSlopes, spec: PassSpec, reach_mm: float) -> Array:
+    def compute_kept(self, form: LensForm, slopes: RowSlopes, spec: PassSpec, reach_mm: float) -> Array:
         """Return (ny, nx) the remaining part of each wave if a slope of 1 deflects light by `reach_mm`."""
         if spec.strategy == "contour":
-            return self.kept_by_contours(form, slopes, reach_mm)[0]
+            return self.compute_kept_by_contours(form, slopes, reach_mm)[0]
         over_y, over_x = yx_spreads(slopes, spec)
         left = over_y.transfer(self.along_y, reach_mm), over_x.transfer(self.along_x, reach_mm)
         return np.outer(*left)
 
-    def kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
+    def compute_kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
         """Return what is left of each wave, and of its square: rows run along the contour lines, so the direction
         across them is that of the gradient, which is distributed over all places, and the direction along them is a
         quarter of a turn from it.
@@ -109,6 +109,6 @@ def yx_spreads(slopes: RowSlopes, spec: PassSpec) -> tuple[SlopeSpread, SlopeSpr
     return (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
 
 
-def lost_when_sharpened(kept: Array) -> Array:
+def compute_lost_when_sharpened(kept: Array) -> Array:
     """Return the part of each wave missing in the end, when the lens is sharpened as far as light allows."""
     return np.asarray((1.0 - kept) * np.clip(1.0 - kept * kept, 0.0, 1.0) ** _SHARPENING)

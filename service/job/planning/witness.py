@@ -17,8 +17,8 @@ from cam.around.specs import WitnessCut
 from cam.passes import Clamp
 from optics.finish import Finish
 from optics.witness import Mill, NoMarksError, Strip, choose_strip
-from service.job.spec.lens_task import digits_of, finish_of
-from service.job.spec.resolve import ResolvedJob, cam_stock_of
+from service.job.spec.lens_task import finish_of
+from service.job.spec.resolve import ResolvedJob, cam_stock_of, digits_of
 
 Side = Literal["front", "back", "left", "right"]
 _SIDES: tuple[Side, ...] = ("front", "back", "left", "right")

@@ -10,7 +10,7 @@ from typing import Any
 from phrases.phrase import Phrase, join
 from service.job.files import table
 from service.job.report.milled import explain_flaws
-from service.wording import duration, number, psnr_in_words
+from service.wording import duration, likeness_in_words, number
 
 _WORTH_DB = 0.3
 _SENTENCES = ("needs", "steps", "donts")
@@ -102,9 +102,9 @@ def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
     rows = {"as_milled": Phrase("The wall as milled"), "as_finished": Phrase("The wall as finished")}
     for key, what in rows.items():
         seen = table(report.get(key))
-        likeness_db = table(seen.get("against_original")).get("psnr_db", seen.get("psnr_db"))
-        if likeness_db is not None:
-            parts = [Phrase("{psnr_db:.1f} dB: {seen}", psnr_db=likeness_db, seen=psnr_in_words(likeness_db))]
+        if (against := seen.get("against_original") or seen).get("psnr_db") is not None:
+            words = likeness_in_words(against.get("seen_db"))
+            parts = [Phrase("{psnr_db:.1f} dB: {seen}", psnr_db=against["psnr_db"], seen=words)]
             if (detail_mm := seen.get("smallest_detail_mm")) is not None:
                 parts.append(Phrase("details from {detail} show", detail=_mm(detail_mm)))
             yield what, join("; ", parts)

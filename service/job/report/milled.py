@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from phrases.phrase import Phrase
-from service.wording import number, psnr_in_words
+from service.wording import likeness_in_words, number
 
 CAUSES = {
     "scallops": (Phrase("the grooves between rows"), Phrase("a finer pitch or a bigger ball leaves less of them")),
@@ -108,16 +108,16 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase |
 
 
 def _describe_expectation(milled: Mapping[str, Any]) -> Phrase:
-    designed_db, seen_db = milled.get("psnr_db_designed"), milled["psnr_db"]
-    given_db = (milled.get("against_original") or {}).get("psnr_db", seen_db)  # a person compares with the one given
+    designed_db, milled_db = milled.get("psnr_db_designed"), milled["psnr_db"]
+    given = milled.get("against_original") or milled  # a person compares with the one given
     told = Phrase(
         "As the block comes from the machine ({psnr_db:.1f} dB): {seen}.",
-        psnr_db=given_db,
-        seen=psnr_in_words(given_db),
+        psnr_db=given["psnr_db"],
+        seen=likeness_in_words(given.get("seen_db")),
     )
     if designed_db is None:
         return told
-    if designed_db < seen_db:
+    if designed_db < milled_db:
         return Phrase(
             "{told} Do not polish it: the lens is made for these marks, and shows {psnr_db:.1f} dB without them.",
             told=told,
@@ -127,7 +127,7 @@ def _describe_expectation(milled: Mapping[str, Any]) -> Phrase:
         "{told} Polished until no groove is left ({psnr_db:.1f} dB): {seen}.",
         told=told,
         psnr_db=designed_db,
-        seen=psnr_in_words(designed_db),
+        seen=likeness_in_words(milled.get("seen_db_designed")),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from phrases.phrase import Phrase, join
 from service.job.files import table
 from service.job.spec.light import describe_light, name_spectrum
-from service.wording import ball, describe_misplaced, number, psnr_in_words
+from service.wording import ball, describe_misplaced, likeness_in_words, number
 
 _SEEN_GAIN_DB = 0.5  # less is not mentioned
 _STRAIGHT_MM = 0.005
@@ -32,7 +32,7 @@ def score_rows(report: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
         scores = table(report.get(key))
         if (psnr_db := scores.get("psnr_db")) is not None:
             what = Phrase("{part}: likeness (PSNR)", part=part)
-            rows.append((what, f"{psnr_db:.1f} dB", psnr_in_words(psnr_db)))
+            rows.append((what, f"{psnr_db:.1f} dB", likeness_in_words(scores.get("seen_db"))))
         if scores.get("ssim") is not None:
             words = Phrase("how alike small parts are; 1 is identical")
             rows.append((Phrase("{part}: structure (SSIM)", part=part), f"{scores['ssim']:.3f}", words))

@@ -15,7 +15,17 @@ from typing import Any
 from markupsafe import escape
 
 from service.job.files import table
-from service.job.report.figures.a4_sheet import HEIGHT, INK, WIDTH, Paper, Word, known, width_of, words_of, wrap
+from service.job.report.figures.a4_sheet import (
+    HEIGHT,
+    INK,
+    WIDTH,
+    Paper,
+    Word,
+    replace_missing,
+    width_of,
+    words_of,
+    wrap,
+)
 from service.job.report.setup_sheet import in_language, render_block
 from service.wording import MISSING, duration, number, shape_of, whole
 
@@ -56,7 +66,7 @@ def render_setup_pdf(setup: Mapping[str, Any], picture: bytes | None, *, beside:
     top = _draw_head(paper, setup, title, picture, beside)
     top = _draw_programs(paper, setup["passes"], top) + _GAP
     _draw_columns(paper, setup, top)
-    return paper.render_pdf(known(title))
+    return paper.render_pdf(replace_missing(title))
 
 
 def _draw_head(paper: Paper, setup: Mapping[str, Any], title: str, picture: bytes | None, beside: int) -> float:

@@ -109,7 +109,7 @@ def _block(x_mm: Array, y_mm: Array, z_mm: Array, *, thickness_mm: float, margin
     centre_mm = np.array([(x_mm[0] + x_mm[-1]) / 2, (y_mm[0] + y_mm[-1]) / 2])
     loops = []
     if margin_mm > 0:
-        loops = [_at_height(grid[rim], 0.0), _grown(_at_height(grid[rim], 0.0), centre_mm, margin_mm)]
+        loops = [_at_height(grid[rim], 0.0), _grow(_at_height(grid[rim], 0.0), centre_mm, margin_mm)]
     outer = loops[-1] if loops else grid[rim]
     loops += [_at_height(outer, -thickness_mm)]
     starts = grid.shape[0] + rim.size * np.arange(len(loops))
@@ -130,7 +130,7 @@ def _at_height(loop: Array, z_mm: float) -> Array:
     return np.column_stack([loop[:, :2], np.full(len(loop), z_mm)])
 
 
-def _grown(loop: Array, centre_mm: Array, margin_mm: float) -> Array:
+def _grow(loop: Array, centre_mm: Array, margin_mm: float) -> Array:
     """Return the rectangular loop with margin_mm added on each side; vertices keep their share of each side."""
     half_mm = np.abs(loop[:, :2] - centre_mm).max(axis=0)
     return np.column_stack([centre_mm + (loop[:, :2] - centre_mm) * (1 + margin_mm / half_mm), loop[:, 2]])

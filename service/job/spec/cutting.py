@@ -10,12 +10,14 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 from math import dist
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from cam.cutters import BALL, CUTTERS, cutter_shape
 from cam.materials import MATERIALS, PMMA
+from machines.profile import MachineProfile
+from machines.profile_values import Rules
 from phrases.phrase import Phrase
 from service.job.spec.section import (
     Length,
@@ -36,10 +38,19 @@ MIN_FLOOR_MM = 2.0  # least stock under the deepest point: a thinner floor bends
 FRAME_MM = 1.0
 """Width of the block that must remain around the slot: without it the tabs hold nothing."""
 
+_PROFILE = Rules.of(MachineProfile)
+
+
+def _as_in_profile(key: str) -> Any:
+    """Return the limits of a figure that a profile and a spec may have alike."""
+    low, high = _PROFILE.limits(key)
+    return Field(ge=low, le=high)
+
+
 Three = Field(min_length=3, max_length=3)
-Travel = Annotated[list[Annotated[float, Field(ge=1, le=100_000)]], Three]
-Rates = Annotated[list[Annotated[float, Field(ge=1, le=1_000_000)]], Three]
-Accelerations = Annotated[list[Annotated[float, Field(ge=0.1, le=100_000)]], Three]
+Travel = Annotated[list[Annotated[float, _as_in_profile("travel_mm")]], Three]
+Rates = Annotated[list[Annotated[float, _as_in_profile("max_rate_mm_per_min")]], Three]
+Accelerations = Annotated[list[Annotated[float, _as_in_profile("acceleration_mm_per_s2")]], Three]
 Pair = Annotated[list[Speed], Field(min_length=2, max_length=2)]
 _XYZ = ("X", "Y", "Z")
 _USUAL_PROFILE = "grbl"
@@ -288,41 +299,44 @@ class MachineSpec(Section):
     travel_mm: Annotated[Travel | None, shown("Travel", names=_XYZ)] = None
     max_rate_mm_per_min: Annotated[Rates | None, shown("Fastest", names=_XYZ)] = None
     acceleration_mm_per_s2: Annotated[Accelerations | None, shown("Acceleration", names=_XYZ)] = None
-    step_mm: Annotated[Annotated[float, Field(ge=1e-6, le=1)] | None, _shown("Smallest step")] = None
-    z_noise_mm: Annotated[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)] | None, _shown("Noise in Z")] = None
+    step_mm: Annotated[Annotated[float, _as_in_profile("step_mm")] | None, _shown("Smallest step")] = None
+    z_noise_mm: Annotated[
+        Annotated[float, _as_in_profile("z_noise_mm"), none_or_from(1e-7)] | None, _shown("Noise in Z")
+    ] = None
     screw_error_mm: Annotated[
-        Annotated[list[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)]], Three] | None,
+        Annotated[list[Annotated[float, _as_in_profile("screw_error_mm"), none_or_from(1e-7)]], Three] | None,
         shown("Screw errors", "An axis error that repeats with every turn of the screw.", names=_XYZ),
     ] = None
     screw_lead_mm: Annotated[
-        Annotated[list[Annotated[float, Field(ge=0.1, le=100)]], Three] | None,
+        Annotated[list[Annotated[float, _as_in_profile("screw_lead_mm")]], Three] | None,
         shown("Leads of the screws", names=_XYZ),
     ] = None
     whole_steps: Annotated[bool | None, _shown("On whole steps")] = None
     most_program_mb: Annotated[
-        Annotated[float, Field(ge=0.1, le=1_000_000)] | None, shown("Largest program", usual="no limit")
+        Annotated[float, _as_in_profile("most_program_mb")] | None, shown("Largest program", usual="no limit")
     ] = None
     most_program_hours: Annotated[
-        Annotated[float, Field(ge=0.05, le=10_000)] | None, shown("Longest program", usual="no limit")
+        Annotated[float, _as_in_profile("most_program_hours")] | None, shown("Longest program", usual="no limit")
     ] = None
     junction_deviation_mm: Annotated[Annotated[float, Field(ge=1e-5, le=1)] | None, _shown("Junction deviation")] = None
     planner_blocks: Annotated[Annotated[int, Field(ge=1, le=100_000)] | None, _shown("Blocks planned ahead")] = None
-    lines_per_s: Annotated[Annotated[float, Field(ge=0.1, le=1_000_000)] | None, _shown("Lines per second")] = None
+    lines_per_s: Annotated[Annotated[float, _as_in_profile("lines_per_s")] | None, _shown("Lines per second")] = None
     safe_z_mm: Annotated[Annotated[float, Field(ge=0.5, le=200)] | None, _shown("Safe height")] = None
     spindle_rpm: Annotated[Pair | None, shown("Spindle", names=("slowest", "fastest"))] = None
     collet_mm: Annotated[
-        Annotated[float, Field(ge=0.1, le=100)] | None, _shown("Collet", "The thickest shank that it takes.")
+        Annotated[float, _as_in_profile("collet_mm")] | None, _shown("Collet", "The thickest shank that it takes.")
     ] = None
-    spindle_w: Annotated[Annotated[float, Field(ge=1, le=100_000)] | None, _shown("Spindle power")] = None
-    removal_cm3_per_min: Annotated[Annotated[float, Field(ge=0.01, le=10_000)] | None, _shown("Removal, cm³/min")] = (
-        None
-    )
+    spindle_w: Annotated[Annotated[float, _as_in_profile("spindle_w")] | None, _shown("Spindle power")] = None
+    removal_cm3_per_min: Annotated[
+        Annotated[float, _as_in_profile("removal_cm3_per_min")] | None, _shown("Removal, cm³/min")
+    ] = None
     coolant: Annotated[Literal["none", "air", "mist", "flood"] | None, _shown("Coolant or air")] = None
     work_offset: Annotated[
-        Annotated[int, Field(ge=1, le=6)] | None, _shown("Work offset", "1 to 6: G54 to G59, Okuma's G15 H1 to H6.")
+        Annotated[int, _as_in_profile("work_offset")] | None,
+        _shown("Work offset", "1 to 6: G54 to G59, Okuma's G15 H1 to H6."),
     ] = None
     blend_tolerance_mm: Annotated[
-        Annotated[float, Field(ge=0, le=1), none_or_from(1e-5)] | None,
+        Annotated[float, _as_in_profile("blend_tolerance_mm"), none_or_from(1e-5)] | None,
         _shown("Corners rounded by", "LinuxCNC only; 0: exact stop."),
     ] = None
     high_precision: Annotated[
@@ -330,7 +344,7 @@ class MachineSpec(Section):
         _shown("High-precision mode", choices={"none": "none", "g05.1": "G05.1", "g08": "G08"}),
     ] = None
     warm_up_s: Annotated[
-        Annotated[float, Field(ge=0, le=3600), none_or_from(0.1)] | None,
+        Annotated[float, _as_in_profile("warm_up_s"), none_or_from(0.1)] | None,
         _shown("Spindle warm-up", "In the first program, in steps of speed."),
     ] = None
     trace_outline: Annotated[bool | None, _shown("Trace the block first")] = None

@@ -57,7 +57,7 @@ def describe_allowed(place: Place) -> Phrase:
     return _words(schema, keys[-1] if keys else "") if schema else Phrase("see the documentation")
 
 
-def known_keys(place: Place) -> list[str]:
+def list_known_keys(place: Place) -> list[str]:
     """Return keys of the table at a place of the spec."""
     return list((_schema_at(place) or {}).get("properties", {}))
 
@@ -65,17 +65,19 @@ def known_keys(place: Place) -> list[str]:
 def _sentence(detail: ErrorDetails) -> Phrase:
     place, kind, value = detail["loc"], detail["type"], detail["input"]
     if kind == "extra_forbidden":
-        return unknown_key(str(place[-1]), known_keys(place[:-1]))
+        return unknown_key(str(place[-1]), list_known_keys(place[:-1]))
     if kind == "missing":
         return Phrase("is missing; allowed: {allowed}", allowed=describe_allowed(place))
     if isinstance(error := detail.get("ctx", {}).get("error"), RuleError):
         return error.words
     if kind == "too_short" and isinstance(value, list | tuple) and not value:
         return Phrase("is empty; allowed: {allowed}", allowed=describe_allowed(place))
-    return Phrase("{value} is not allowed; allowed: {allowed}", value=_shown(value), allowed=describe_allowed(place))
+    return Phrase(
+        "{value} is not allowed; allowed: {allowed}", value=_show_value(value), allowed=describe_allowed(place)
+    )
 
 
-def _shown(value: Any) -> str:
+def _show_value(value: Any) -> str:
     """Return a value as the person wrote it, cut to fit one line of the message."""
     text = f"'{value}'" if isinstance(value, str) else repr(value)
     if isinstance(value, bool):

@@ -1,6 +1,4 @@
-"""Converts the job spec into the types of the optics package (the bench, its light, the settings of the lens), and the
-mill into those of time estimates and programs.
-"""
+"""Converts the job spec into the types of the optics package: the bench, its light, the settings of the lens."""
 
 from __future__ import annotations
 
@@ -11,11 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cam.duration import Kinematics
 from cam.materials import MATERIALS
-from cam.posts.dialects import POSTS
-from cam.posts.post import Digits
-from machines.profile import MachineProfile
 from optics.bench import Bench, Branch
 from optics.black import choose_branch
 from optics.block import Back
@@ -204,18 +198,3 @@ def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
         name: float(light[name]) for name in LIGHT_WORDS[kind].figures if light.get(name) is not None
     }
     return Light(kind=kind, **figures).spread_mm(throw_mm) or None
-
-
-def kinematics_of(machine: MachineProfile) -> Kinematics:
-    return Kinematics(
-        max_rate_mm_per_min=machine.max_rate_mm_per_min,
-        acceleration_mm_per_s2=machine.acceleration_mm_per_s2,
-        junction_deviation_mm=machine.junction_deviation_mm,
-        planner_blocks=machine.planner_blocks + 1,  # slots: the one that is always free is not reported
-        lines_per_s=machine.lines_per_s,
-    )
-
-
-def digits_of(machine: MachineProfile) -> Digits:
-    """Return the resolution of the mill's dialect, or whole steps if programs are to use them."""
-    return POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)

@@ -19,7 +19,7 @@ from machines.profile_values import UnreadableFileError, read_data
 from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.files import SPEC
-from service.job.spec.errors import as_spec_error, known_keys, unknown_key
+from service.job.spec.errors import as_spec_error, list_known_keys, unknown_key
 from service.job.spec.finish import BEST
 from service.job.spec.model import PRESETS, JobSpec
 from service.job.spec.resolve import (
@@ -239,8 +239,8 @@ def _override(data: dict[str, Any], text: str) -> None:
         if not isinstance(below, Mapping | list):
             words = Phrase("there is no such key; '{key}' is a single value", key=".".join(place))
             raise SpecError([(".".join(steps), words)])
-        if isinstance(here, dict) and step not in here and step not in known_keys(_place(steps[:depth])):
-            raise SpecError([(".".join(steps), unknown_key(step, known_keys(_place(steps[:depth]))))])
+        if isinstance(here, dict) and step not in here and step not in list_known_keys(_place(steps[:depth])):
+            raise SpecError([(".".join(steps), unknown_key(step, list_known_keys(_place(steps[:depth]))))])
         copy = list(below) if isinstance(below, list) else dict(below)
         here[_index(here, place) if isinstance(here, list) else step] = copy
         here = copy

@@ -17,7 +17,6 @@ from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LightSpec
 from service.job.spec.optics import OpticsSpec
 from service.job.spec.section import RuleError, Section, shown
-from service.wording import psnr_in_words
 
 __all__ = [
     "FinishSpec",
@@ -42,8 +41,13 @@ _PRESETS = {
     "paper": ("As in the paper", "its three passes: very fine, slow"),
 }
 _LIKENESSES = {
-    level: (f"{word} ({level} dB)", f"{psnr_in_words(level).capitalize()}.")
-    for level, word in ((21, "recognisable"), (27, "plain"), (33, "good"), (40, "very close"))
+    level: (f"{word} ({level} dB)", seen)
+    for level, word, seen in (
+        (21, "recognisable", "Recognisable, visibly soft or uneven."),
+        (27, "plain", "Plainly the picture; fine detail or tones are off."),
+        (33, "good", "Small differences, seen only side by side."),
+        (40, "very close", "Very close to the target."),
+    )
 }
 _WHEN_PLANNED = {"preset": "recommended"}
 

@@ -20,8 +20,8 @@ from cam.around.specs import CutOut, Facing
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, Clamp, PassSpec, Stock
-from cam.posts.dialects import find_unsupported
-from cam.posts.post import Coolant, HighPrecision, ProgramSetup
+from cam.posts.dialects import POSTS, find_unsupported
+from cam.posts.post import Coolant, Digits, HighPrecision, ProgramSetup
 from cam.tools import Tool
 from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from phrases.phrase import Phrase
@@ -393,3 +393,8 @@ def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[
             )
             problems.append((f"{place}.{key}", words))
     return problems
+
+
+def digits_of(machine: MachineProfile) -> Digits:
+    """Return the resolution of the mill's dialect, or whole steps if programs are to use them."""
+    return POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)

@@ -17,6 +17,7 @@ import numpy as np
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing, check_witness
 from cam.around.paths import find_highest_along, make_cut_out_paths, make_facing_paths, make_witness_paths
 from cam.around.specs import CutOut, Facing, WitnessCut
+from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
@@ -30,7 +31,6 @@ from service.job import arrays
 from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WITNESS, WrittenProgram, program_name, read_chunks
 from service.job.planning.around import cut_out_ways, lens_corners
 from service.job.planning.witness import plan_witness
-from service.job.spec.lens_task import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of, setup_of
 from service.job.stages.context import StageContext
@@ -124,7 +124,7 @@ def simulate(
     machine, stock = job.machine, cam_stock_of(job.spec)
     texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
     mill = CheckedMill(
-        kinematics=kinematics_of(machine),
+        kinematics=Kinematics.of(machine),
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
         digit_mm=digits.z_mm,

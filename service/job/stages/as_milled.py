@@ -22,7 +22,7 @@ from optics.caustic import Caustic, simulate_caustic
 from optics.finish import surface_in_light
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
-from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_detail_mm
+from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, seen_db, smallest_detail_mm
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
@@ -102,7 +102,7 @@ def read_tracks(
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
         one = one.divide(chord_mm) if math.isfinite(chord_mm) else one
-        tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise, screws=screws))
+        tracks.append(one.run_on_mill(step_mm=machine.step_mm, noise=noise, screws=screws))
         on_progress(0.8 * done / len(passes))
     return tracks
 
@@ -187,6 +187,7 @@ def _report_milled(
             **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "psnr_db_designed": psnr_db(designed.irradiance, target),
+            "seen_db_designed": seen_db(designed.irradiance, target),
             "light": facts_of_light(context.spec),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,

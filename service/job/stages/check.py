@@ -9,8 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from cam.duration import Kinematics
 from cam.passes import PassSpec, Stock
-from cam.reading.gcode import LANGUAGES, read_parts
+from cam.reading.gcode import LANGUAGES as DIALECTS
+from cam.reading.gcode import read_parts
 from machines.errors import ProgramRefusedError
 from machines.preflight.preflight import MillLimits, limits_of
 from phrases.phrase import Phrase
@@ -19,10 +21,7 @@ from service.job import files as job_files
 from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
 from service.job.page_data.path import PathDrawing
 from service.job.report.figures.path_sample import ContourSample, PathSample
-from service.job.report.setup_sheet import LANGUAGES as SHEET_LANGUAGES
-from service.job.report.setup_sheet import describe_setup, render_page
 from service.job.spec.finish_library import instruct_finishing
-from service.job.spec.lens_task import kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal
 from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports
@@ -98,8 +97,8 @@ def _follow(context: StageContext, paths: list[Path], number: int, sample: PathS
     """Read the programs of a pass once, for both drawings."""
     stock, machine = cam_stock_of(context.spec), context.machine
     side_mm = max(stock.width_mm, stock.height_mm)
-    with PathDrawing(context.folder, kinematics=kinematics_of(machine), side_mm=side_mm) as drawing:
-        for batch in read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect]):
+    with PathDrawing(context.folder, kinematics=Kinematics.of(machine), side_mm=side_mm) as drawing:
+        for batch in read_parts(map(read_chunks, paths), DIALECTS[machine.dialect]):
             seen = batch.is_rapid | batch.spindle_on  # without a trace in the air, which cuts nothing
             sample.add(batch.start_mm[seen], batch.end_mm[seen], batch.is_rapid[seen])
             if context.is_shown:
@@ -122,7 +121,8 @@ def _part(on_progress: Callable[[float], None], number: int, count: int) -> Call
 
 def run_report(context: StageContext) -> None:
     """Complete the report and write the files; report.json comes last and marks the job as complete."""
-    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # its dependencies are slow to import
+    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # drawing and optics are slow to import
+    from service.job.report.setup_sheet import LANGUAGES, describe_setup, render_page
 
     notes = merge_notes(({"optics": [], "passes": []}, context.earlier_notes))
     by_part = {
@@ -151,7 +151,7 @@ def run_report(context: StageContext) -> None:
     files = {path.name for path in context.folder.iterdir()} | context.files | {job_files.REPORT, job_files.REPORT_PAGE}
     setup = describe_setup(report, spec=spec, files=files)
     context.save(job_files.REPORT_PAGE, render_page(setup).encode())
-    for language in SHEET_LANGUAGES if context.is_shown else ():
+    for language in LANGUAGES if context.is_shown else ():
         context.save(job_files.page_in(language), render_page(setup, language).encode())
     name = next((name for name in SHOWN if (context.folder / name).is_file()), None)
     picture = None if name is None else (context.folder / name).read_bytes()

@@ -10,6 +10,7 @@ libraries. The file holds the plan's report and picture, and the light that an e
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import zipfile
@@ -22,8 +23,9 @@ from typing import Any, Literal
 import numpy as np
 
 from optics.heightfield import Array
+from optics.polish import Polished
 from phrases.phrase import Phrase, phrases_in, restore
-from service.errors import FailedError
+from service.errors import FailedError, InputError
 from service.job import arrays
 from service.job.arrays import npz_bytes
 from service.job.files import HEIGHTFIELD, MAP, PLAN, write_bytes
@@ -35,7 +37,7 @@ from service.job.planning.sentences import blur_warnings
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.resolve import ResolvedJob
 from service.job.stages.context import StageContext
-from service.job.stages.lens import TARGET
+from service.job.stages.lens import POLISHED, TARGET
 from service.job.stages.order import FileRef
 from service.job.stages.table import stage_key
 from service.processes.files import forget_oldest, make_private
@@ -52,12 +54,14 @@ class MadePlan:
     notes   : of the passes, for the setup sheet
     draw    : returns plan.png
     see     : returns what the wall will show
+    polished: the lens for its finish, which the next stage need not make again
     """
 
     figures: dict[str, Any]
     notes: list[Phrase]
     draw: Callable[[], bytes]
     see: Callable[[], PredictedPicture]
+    polished: Polished | None = None
 
 
 class KeptPlans:
@@ -108,6 +112,7 @@ def describe_plan(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -
         notes=blur_warnings(planned, milled_next=True),
         draw=draw,
         see=lambda: describe_light(planned.light, planned.chosen.marks),
+        polished=planned.polished,
     )
 
 
@@ -115,13 +120,19 @@ def _load(path: Path, target: Array) -> MadePlan | None:
     """Load a plan; None if there is none or the file is damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            words, picture, light = (stored[name] for name in ("words", "picture", "light"))
+            words, picture, light, lens = (stored[name] for name in ("words", "picture", "light", "lens"))
         plain = json.loads(words.tobytes())
         seen = PredictedPicture(light=light, target=target, **plain["seen"])
         found = restore(plain["plan"], plain["phrases"])
         os.utime(path)  # in use: see `forget_oldest`
-        return MadePlan(figures=found["figures"], notes=found["notes"], draw=picture.tobytes, see=lambda: seen)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return MadePlan(
+            figures=found["figures"],
+            notes=found["notes"],
+            draw=picture.tobytes,
+            see=lambda: seen,
+            polished=arrays.load_polished(io.BytesIO(lens)) if lens.size else None,
+        )
+    except (InputError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
 
 
@@ -132,7 +143,9 @@ def _keep(path: Path, made: MadePlan) -> bytes:
     del seen["target"]  # the caller has it already
     plan = {"figures": made.figures, "notes": made.notes}
     words = json.dumps({"plan": plan, "phrases": phrases_in(plan), "seen": seen}).encode()
-    kept = {"words": np.frombuffer(words, np.uint8), "picture": np.frombuffer(picture, np.uint8), "light": light}
+    lens = b"" if made.polished is None else arrays.polished_bytes(made.polished)
+    files = {"words": words, "picture": picture, "lens": lens}
+    kept = {"light": light, **{name: np.frombuffer(data, np.uint8) for name, data in files.items()}}
     with suppress(OSError, FailedError):
         make_private(path.parent)
         write_bytes(path, npz_bytes(kept))
@@ -148,6 +161,8 @@ def choose_passes(context: StageContext) -> None:
     with context.watch.stage("plan") as on_progress:
         plan = KeptPlans(context.plans).make(context.job, target, on_progress=on_progress)
         report_plan(context, plan)
+    if plan.polished is not None:
+        context.hand_over(POLISHED, plan.polished, arrays.polished_bytes)
 
 
 def plan_passes_for_lens(context: StageContext) -> None:

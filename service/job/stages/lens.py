@@ -30,7 +30,8 @@ from service.job.spec.model import JobSpec
 from service.job.stages.context import THE_PICTURE, StageContext
 
 POLISH_SHARE = 12.0  # time of a polish, in units of the first solution
-PICTURE, TARGET, ORIGINAL, HEIGHTS = ".picture.npz", ".target.npz", ".original.npz", ".heights.npz"
+PICTURE, TARGET, ORIGINAL = ".picture.npz", ".target.npz", ".original.npz"
+POLISHED, HEIGHTS = ".polished.npz", ".heights.npz"
 
 
 def run_image(context: StageContext) -> None:
@@ -80,14 +81,19 @@ def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
 
 
 def run_transport_map(context: StageContext) -> None:
-    """Design the lens of the target: map.npz, with the picture as given where a prepared one is aimed at, and heights;
-    what the design says of itself in report `optics`; flow.png.
+    """Design the lens of the target, from the plan's polish if that was of the same lens: map.npz, with the picture as
+    given where a prepared one is aimed at, and heights; what the design says of itself in report `optics`; flow.png.
     """
     target = context.receive(TARGET, arrays.load_target)
     require_contrast(context.spec, target)
     with context.watch.stage("lens") as on_progress:
         settings = lens_settings(context.spec, branch=branch_of(context.spec, target))
-        design = design_lens(aim_of(context.spec, target), settings, on_progress=_way(context.spec, on_progress))
+        design = design_lens(
+            aim_of(context.spec, target),
+            settings,
+            on_progress=_way(context.spec, on_progress),
+            polished=context.receive_if_there(POLISHED, arrays.load_polished),
+        )
         way = {"screen_mm": design.transport_map.screen_mm, "lens_mm": design.transport_map.lens_mm}
         if (original := context.receive_if_there(ORIGINAL, arrays.load_target)) is not None:
             way["original"] = original

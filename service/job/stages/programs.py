@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from cam.around.check import AroundCheck
 from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
 from cam.checking.check import PassCheck, check_program
+from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
@@ -39,8 +40,7 @@ from service.job.files import (
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.envelope import require_travel
-from service.job.spec.lens_task import digits_of, kinematics_of
-from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, setup_of
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, digits_of, setup_of
 from service.job.stages.context import StageContext
 from service.wording import duration
 
@@ -127,7 +127,7 @@ def simulate(
         spec=spec,
         stock=stock,
         stock_top=stock_top,
-        kinematics=kinematics_of(machine),
+        kinematics=Kinematics.of(machine),
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
         digit_mm=digits_of(machine).z_mm,

@@ -120,7 +120,7 @@ _BEFORE = (
     Stage(
         name="map",
         function=f"{_LENS}:run_transport_map",
-        reads=(".target.npz", ".original.npz"),
+        reads=(".target.npz", ".original.npz", ".polished.npz"),
         spec=("optics", "finish", "stock.skim_mm", "stock.material", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import logging
 import signal
 import socket
@@ -27,9 +26,10 @@ from machines.mill.thread import MillThread
 from machines.profile import MachineProfile
 from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
-from service.errors import InputError, printable
+from service.errors import printable
 from service.http.admission import Admission
 from service.http.event_hub import Hub, Reader
+from service.http.hosts import bind_address
 from service.http.uvicorn_protocol import HEADER_BYTES, HttpServer, allow_open_files
 from service.milling.agent.agent import Agent, ClientKeys, MillAccess
 from service.milling.agent.app import make_app
@@ -56,7 +56,8 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
     with contextlib.ExitStack() as stack:
         allow_open_files(_FILES)
         logging.getLogger("uvicorn.error").setLevel(logging.ERROR)  # a warning for each bad request could fill a disk
-        listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
+        bound = bind_address(settings.host, settings.bind_port, option="--bind-port", backlog=64)
+        listener = stack.enter_context(contextlib.closing(bound))
         connector = Connector(profile, settings.port_url)
         reentry = Reentry(safe_z_mm=profile.safe_z_mm)
         with report_disk_errors(settings.folder):
@@ -67,27 +68,6 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
         _open_first_link(connector, settings.port_url)
         thread.start()
         asyncio.run(_serve(settings, profile, connector, thread, listener, catch_stop or _catch_stop_signals))
-
-
-def bound_socket(host: str, port: int) -> socket.socket:
-    """Bind a listening address of our own; InputError if another process has it."""
-    try:
-        family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise InputError(f"--host {host}: {error.strerror or error}") from None
-    listener = socket.socket(family, kind, proto)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(64)
-    except OSError as error:
-        listener.close()
-        if error.errno == errno.EADDRINUSE:
-            raise InputError(
-                f"--bind-port {port} on {host} is in use, perhaps by another agent; allowed: a free port, or 0 for any"
-            ) from None
-        raise InputError(f"--host {host} --bind-port {port}: {(error.strerror or str(error)).lower()}") from None
-    return listener
 
 
 def _open_first_link(connector: Connector, url: str) -> None:
@@ -188,13 +168,13 @@ async def _stand_still(access: MillAccess, again: asyncio.Event) -> None:
     if not _moves(access):
         return
     print("stopping: feed hold", file=sys.stderr, flush=True)
-    await access.halt(Stop.HOLD, Caller(name="the agent, told to stop"))
+    await access.halt(Stop.HOLD, Caller(name="the agent, at its end"))
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(_STANDSTILL_S):
             while _moves(access) and not again.is_set():
                 await asyncio.sleep(0.02)
     if _moves(access):
-        words = "the mill was told to hold and has not said that it stands: LOOK AT IT, use its own stop button"
+        words = "the mill was sent a hold and has not reported that it stands: LOOK AT IT, use its own stop button"
     else:
         words = "the mill stands in feed hold; its spindle may turn still"
     print(f"{words}. The run can be recovered after a new start of this agent", file=sys.stderr, flush=True)

@@ -23,6 +23,10 @@ START_QUESTIONS = {
     "clear": "Nobody and nothing is in the way of the mill",
 }
 RECOVER_QUESTIONS = START_QUESTIONS | {"position": "The mill's position is right (see above)"}
+FRAME_QUESTIONS = {
+    "zero": START_QUESTIONS["zero"],
+    "clear": "The tool may go up to the safe height and around the outline: nothing is in the way",
+}
 _GIVEN_BY = dict.fromkeys(START_QUESTIONS, "--yes") | {"position": "--confirm-position"}
 
 

@@ -21,7 +21,7 @@ from machines.mill.view import MillSnapshot
 from machines.runs import RunState
 from service.errors import printable
 from service.milling.terminal.confirm import stop_mill
-from service.milling.terminal.screen import left_words
+from service.milling.terminal.screen import describe_mill_left
 
 CLEAR_WAIT_S = 20.0  # hold to standstill is 4 s on a slow mill, a reset after a limit switch 2 s more
 _LOOK_S = 0.1
@@ -94,7 +94,7 @@ def clear_at_the_end(thread: MillThread, next_command: str) -> Iterator[Buffers]
                 _say_loudly(STILL_HELD)
             if under_way:
                 await_status(thread, lambda status: buffers.are_empty() and is_partly_unknown(status))
-                _say_loudly(left_words(thread.snapshot.status))
+                _say_loudly(describe_mill_left(thread.snapshot.status))
                 if buffers.run_id:
                     _say_loudly(f"to go on: {next_command}")
         raise

@@ -42,7 +42,7 @@ from machines.runs import RECOVERABLE, RunReport
 from service.errors import FailedError, InputError
 from service.milling.terminal.confirm import give_order
 from service.milling.terminal.leaving import STILL_HELD, Buffers
-from service.milling.terminal.screen import left_words, place_lines, print_lines
+from service.milling.terminal.screen import describe_mill_left, place_lines, print_lines
 
 CONNECT_S = 90.0  # the driver gives up a silent link sooner, and says why
 _MODE_S = 60.0  # the driver ends an unanswered command sooner
@@ -126,6 +126,8 @@ def make_unconnected_error(url: str, status: MillStatus) -> NotAControllerError:
 _SOON_S = 10.0
 _RUN_OUT_S = 120.0
 _HOMING_S = 300.0
+_FRAME_S = 1800.0  # once around a large lens at this feed, with a margin
+FRAME_MM_PER_MIN = 1000.0
 _ANSWER_S = 60.0  # the driver ends an unanswered command sooner: it knows the delay of its answers
 _TAKEN_S = 4.0  # the driver may still be busy with the reset after an alarm
 _LINK_S = 12.0  # a link on which nothing answers is given up and opened again meanwhile
@@ -216,7 +218,7 @@ def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
     for key, _, command in offered:
         if answer == key:
             return command
-    raise InputError(f"stopped here ({need.code}); nothing was started", left_words(thread.snapshot.status))
+    raise InputError(f"stopped here ({need.code}); nothing was started", describe_mill_left(thread.snapshot.status))
 
 
 def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
@@ -228,8 +230,7 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
         return _reset(thread, buffers)
     moves = isinstance(command, Home)
     name = command_words(CommandDone(command), from_mm=None, at_mm=None).partition(":")[0]
-    events = thread.snapshot.events
-    before = events[-1].number if events else 0
+    before = _last_number(thread)
     if moves:
         buffers.fill()
     try:
@@ -237,7 +238,36 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
     except MachineError as error:
         buffers.mark_empty()
         return str(error)
-    timeout = Timeout(_HOMING_S if moves else _ANSWER_S)
+    return _await_end(thread, buffers, name, before, _HOMING_S if moves else _ANSWER_S)
+
+
+def frame_job(thread: MillThread, buffers: Buffers, run: RunReport) -> None:
+    """Go around the outline of a parked program, as a person has confirmed. FailedError if the way was not finished.
+
+    Ctrl-C meanwhile stops the mill.
+    """
+    print_lines(["frame:      around the outline at the safe height; Ctrl-C stops the mill"])
+    before = _last_number(thread)
+    buffers.fill()
+    try:
+        give_order(thread, "frame", lambda mill: mill.frame(run.program, FRAME_MM_PER_MIN, confirmed=True))
+    except MachineError:
+        buffers.mark_empty()
+        raise
+    words = _await_end(thread, buffers, f"Frame of {run.name}", before, _FRAME_S)
+    print_lines([f"mill:       {words}"])
+    if not words.endswith(": done"):
+        raise FailedError("the way around the outline was not finished; nothing was started")
+
+
+def _last_number(thread: MillThread) -> int:
+    events = thread.snapshot.events
+    return events[-1].number if events else 0
+
+
+def _await_end(thread: MillThread, buffers: Buffers, name: str, before: int, wait_s: float) -> str:
+    """Wait until the command with this name, given after this entry of the log, has ended; return its outcome."""
+    timeout = Timeout(wait_s)
     while not timeout.is_over:
         snapshot = thread.snapshot
         for entry in snapshot.events:
@@ -246,7 +276,7 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
                 buffers.mark_empty()
                 return entry.words
         thread.wait_for_change(snapshot.version, _LOOK_S)
-    raise FailedError(f"{type(command).__name__}: no answer from the mill; go and look at it")
+    raise FailedError(f"{name}: no answer from the mill; go and look at it")
 
 
 def _give(thread: MillThread, command: Command, timeout_s: float) -> None:

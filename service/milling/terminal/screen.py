@@ -273,22 +273,22 @@ def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
         yield f"warning:    {warning}"
 
 
-def recover_command(program: Path, port: str | None, machine: str) -> str:
-    """Return the exact command that continues a run."""
+def stream_command(program: Path, port: str | None, machine: str, how: str) -> str:
+    """Return the exact command that continues or repeats a run: its last words are `how`."""
     words = ["causticmill", "stream", str(program)]
     if port is not None:
         words += ["--port", port]
     if machine != DEFAULT_MACHINE:
         words += ["--machine", machine]
-    return shlex.join([*words, "--recover"])
+    return f"{shlex.join(words)} {how}"
 
 
-def left_words(status: MillStatus) -> str:
+def describe_mill_left(status: MillStatus) -> str:
     """Return in which state the mill is left."""
     if status.state is MillState.DISCONNECTED:
         return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"
     if status.state is MillState.CONNECTING:
-        return "the mill has not told its state since its controller restarted. Go and look"
+        return "the mill has not reported its state since its controller restarted. Go and look"
     spindle = {True: "spindle ON", False: "spindle off", None: "spindle state unknown"}[status.spindle_on]
     where = position_words(status.work_mm)
     return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"

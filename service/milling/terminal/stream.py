@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from rich.console import Console
 from machines.clock import Timeout
 from machines.driver import MillStatus
 from machines.errors import MachineError
+from machines.gcode.lift import LIFT_MM, lift_program, require_liftable
 from machines.gcode.program import ProgramReader
 from machines.grbl.link import SILENT
 from machines.grbl.settings import ControllerSettings
@@ -34,6 +36,7 @@ from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
 from service.milling.terminal.confirm import (
+    FRAME_QUESTIONS,
     RECOVER_QUESTIONS,
     START_QUESTIONS,
     ask_person,
@@ -55,6 +58,7 @@ from service.milling.terminal.leaving import (
 from service.milling.terminal.ready import (
     CONNECT_S,
     find_interrupted_run,
+    frame_job,
     make_unconnected_error,
     prepare_mill,
     prepare_plan,
@@ -65,13 +69,13 @@ from service.milling.terminal.screen import (
     LiveScreen,
     PlainScreen,
     Screen,
-    left_words,
+    describe_mill_left,
     mill_lines,
     print_lines,
     program_lines,
-    recover_command,
     spindle_lines,
     stop_lines,
+    stream_command,
     took_words,
 )
 from service.processes.files import keep_private
@@ -92,7 +96,9 @@ class StreamOrder:
     confirmed: bool = False
     recover: bool = False
     position_confirmed: bool = False
+    frame: bool = False
     dry_run: bool = False
+    lift_mm: float | None = None  # of a dry pass
 
     @property
     def questions(self) -> dict[str, str]:
@@ -107,7 +113,8 @@ class StreamOrder:
 
     @property
     def next_command(self) -> str:
-        return recover_command(self.program, self.port_given, self.profile.name)
+        again = "--recover" if self.lift_mm is None else f"--dry-pass {self.lift_mm:g}"
+        return stream_command(self.program, self.port_given, self.profile.name, again)
 
 
 class StoppedError(ServiceError):
@@ -119,6 +126,11 @@ class StoppedError(ServiceError):
 def stream_program(order: StreamOrder) -> None:
     """Run the program. Return when it is finished; raise a JobError in every other case."""
     _require_answers(order)
+    with _lift_program(order) as lifted:
+        _stream(lifted)
+
+
+def _stream(order: StreamOrder) -> None:
     if order.dry_run:
         _run_in_check_mode(order)
         return
@@ -127,6 +139,20 @@ def stream_program(order: StreamOrder) -> None:
         print_lines(stop_lines(list_heard_signals()))
     outcome, facts = _run_on_mill(order, folder)
     _conclude(outcome, order, facts)
+
+
+@contextlib.contextmanager
+def _lift_program(order: StreamOrder) -> Iterator[StreamOrder]:
+    """Write the program of a dry pass beside nothing else, for as long as it runs; without one change nothing."""
+    if order.lift_mm is None:
+        yield order
+        return
+    require_liftable(order.profile.dialect)
+    with tempfile.TemporaryDirectory(prefix="causticmill-dry-") as folder:
+        path = Path(folder) / f"{order.program.stem}-{order.lift_mm:g}mm-up{order.program.suffix}"
+        with order.program.open("rb") as source, path.open("wb") as target:
+            target.writelines(line + b"\n" for line in lift_program(source, order.lift_mm))
+        yield dataclasses.replace(order, program=path)
 
 
 def _run_on_mill(order: StreamOrder, folder: Path) -> tuple[Outcome, Preflight]:
@@ -152,6 +178,14 @@ def _require_answers(order: StreamOrder) -> None:
     """Refuse before anything is done if a question must be asked but cannot be."""
     if order.recover and order.dry_run:
         raise InputError("--recover and --dry-run exclude each other; allowed: one of them")
+    if order.frame and (order.recover or order.dry_run):
+        raise InputError("--frame belongs to a program that starts from its top, without --recover or --dry-run")
+    if order.lift_mm is not None:
+        low, high = LIFT_MM
+        if order.recover:
+            raise InputError("--dry-pass and --recover exclude each other: a dry pass begins at its top")
+        if not low <= order.lift_mm <= high:
+            raise InputError(f"--dry-pass {order.lift_mm:g}: allowed: {low:g} to {high:g} mm")
     if order.position_confirmed and not order.recover:
         raise InputError("--confirm-position belongs to --recover")
     try:
@@ -247,10 +281,16 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
 
 
 def _prepare_new_run(
-    thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
+    thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Park a run, and return the function that starts it after the person has confirmed that all is in order."""
+    """Park a run, go around its outline if that is wanted, and return the function that starts it after the person has
+    confirmed that all is in order.
+    """
     run: RunReport = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
+    if order.frame:
+        if not order.confirmed:
+            ask_person(FRAME_QUESTIONS)
+        frame_job(thread, buffers, run)
     setup = None if order.confirmed else thread.snapshot.setup
     confirmation = _confirm(order)
     return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
@@ -312,14 +352,13 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
     """Print the last lines, and raise the exit code as an error."""
     status, run = outcome.snapshot.status, outcome.snapshot.run
     held = () if outcome.cleared else (STILL_HELD,)
-    left = (*held, left_words(status), f"to go on: {order.next_command}")
+    stands = describe_mill_left(status)
+    left = (*held, stands, f"to go on: {order.next_command}")
     if outcome.words:
         raise FailedError(outcome.words, *left)
     match outcome.ended:
         case Ended.FINISHED:
-            print_lines(
-                [f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(run)}; {left_words(status)}"]
-            )
+            print_lines([f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(run)}; {stands}"])
             return
         case Ended.ABORTED:
             raise StoppedError("aborted", *left)
@@ -327,7 +366,7 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
             raise StoppedError("left held on request", *left)
         case Ended.ABANDONED:
             raise StoppedError(
-                "THE MILL MAY STILL MOVE: it was told to hold and has not said that it stands. Use its own stop button",
+                "THE MILL MAY STILL MOVE: it was sent a hold and has not reported its stop. Use its own stop button",
                 *left,
             )
     cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail

@@ -70,9 +70,10 @@ function pictures(sides, names, shelf) {
 const FIGURES = [
   [t("Time on the mill"), hours, -1, ({ job }) => millSeconds(job.report)],
   [t("Smallest detail"), mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
-  [t("On the wall, as milled"), eyeAndDb, 1, ({ job }) => job.report?.as_milled?.psnr_db],
+  [t("On the wall, as milled"), eyeWords, 1, ({ job }) => job.report?.as_milled?.seen_db],
+  [t("Likeness (PSNR)"), (value) => `${value.toFixed(1)} dB`, 1, ({ job }) => job.report?.as_milled?.psnr_db],
   [t("Likeness of structure (SSIM)"), (value) => t`${value.toFixed(3)} of 1`, 1, ({ job }) => job.report?.as_milled?.ssim],
-  [t("On the wall, if polished"), eyeAndDb, 1, ({ job }) => job.report?.optics?.psnr_db],
+  [t("On the wall, if polished"), eyeWords, 1, ({ job }) => job.report?.optics?.seen_db],
   [t("Depth of the lens"), mm, 0, ({ job }) => job.report?.optics?.relief_mm],
   [t("Steepest slope"), (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
   [t("Lines of all programs"), thousands, 0, ({ job }) => linesOf(job.report)],
@@ -80,10 +81,6 @@ const FIGURES = [
 
 function linesOf(report) {
   return report?.passes?.reduce((sum, row) => sum + (row.lines ?? 0), 0);
-}
-
-function eyeAndDb(value) {
-  return `${eyeWords(value)} (${value.toFixed(1)} dB)`;
 }
 
 function figures(sides, names) {

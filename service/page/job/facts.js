@@ -5,7 +5,7 @@ import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
 import { fold, unfold } from "./fold.js";
 import { expertFigures, expertSides, headlines, lightSentence, mainCause } from "./figures.js";
-import { predictedPsnr } from "./prediction.js";
+import { predictedLikeness } from "./prediction.js";
 
 /** {node, update(job)} */
 export function factsPart() {
@@ -17,7 +17,7 @@ export function factsPart() {
   let shown = "";
 
   function update(job) {
-    const rows = headlines(job.spec, job.report, predictedPsnr(job)), figures = expertFigures(job.report);
+    const rows = headlines(job.spec, job.report, predictedLikeness(job)), figures = expertFigures(job.report);
     const key = JSON.stringify([rows, figures]);
     if (key === shown) return;
     shown = key;

@@ -28,9 +28,9 @@ export function pixelMm(spec) {
   return screenOf(spec).width / spec.image.pixels;
 }
 
-/** PSNR of a surface's light against the picture as a person gave it; undefined before it is known. */
+/** How alike a surface's light and the picture that a person gave look, in dB; undefined before it is known. */
 export function likenessOf(seen) {
-  return seen?.against_original?.psnr_db ?? seen?.psnr_db;
+  return (seen?.against_original ?? seen)?.seen_db;
 }
 
 /**
@@ -63,7 +63,7 @@ export function millSeconds(report) {
   return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
 }
 
-/** The first things to know of a job: [[what, figure, words]], as many as are known. predicted: its PSNR. */
+/** The first things to know of a job: [[what, figure, words]], as many as are known. predicted: its likeness. */
 export function headlines(spec, report, predicted) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
   const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);

@@ -3,14 +3,13 @@ import { h, replace, svg } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm, passName, sentence } from "../lib/words.js";
-import { eyeBands, eyeWords } from "./eye_words.js";
+import { eyeWords } from "./eye_words.js";
 import { fold } from "./fold.js";
 import { detailOfPlan, passWords } from "./figures.js";
 
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
 const HEIGHT = 300;
 const LEAST_WIDTH = 240;
-const LEAST_BAND = 20; // pixels that words need
 const MARKS_H = [1 / 60, 2 / 60, 5 / 60, 10 / 60, 0.25, 0.5, 1, 2, 3, 5, 8, 12, 24, 48, 96, 200];
 
 /** {node, update(job)} */
@@ -106,23 +105,9 @@ function drawing(rows, at, width, { taken, made, take, spec }) {
     ]),
     svg("text", { class: "plan-axis", x: (EDGE.left + width) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, t("time on the mill")),
     svg("text", { class: "plan-axis", x: 0, y: 14 }, t("likeness of the milled picture")),
-    eyeBands(at.least, at.most).map((band) => bandWords(band, at, width)),
     svg("path", { class: "plan-line", d: line }),
     rows.map((row, k) => point(row, k, at, { taken, made, take, spec, last: rows.length - 1 })),
   );
-}
-
-/** Words for a band of likeness, placed away from the line: low bands at the right, high ones at the left. */
-/** @param {any[]} band @param {any} at @param {number} width */
-function bandWords([from, to, words], at, width) {
-  const top = at.y(to), foot = at.y(from);
-  if (foot - top < LEAST_BAND) return null;
-  const low = foot + top > at.y(at.least) + at.y(at.most);
-  const place = low ? { x: width - EDGE.right - 6, y: foot - 7, "text-anchor": "end" } : { x: EDGE.left + 6, y: top + 15 };
-  return [
-    to < at.most && svg("path", { class: "plan-band", d: `M${EDGE.left} ${top.toFixed(1)}H${width - EDGE.right}` }),
-    svg("text", { class: "plan-words", ...place }, words),
-  ];
 }
 
 /** Those of [value, place] that lie far enough apart for their words not to overlap. */
@@ -134,7 +119,7 @@ function point(row, k, at, { taken, made, take, spec, last }) {
   const keys = { ArrowRight: k + 1, ArrowUp: k + 1, ArrowLeft: k - 1, ArrowDown: k - 1, Home: 0, End: last };
   const x = at.x(row.hours), y = at.y(row.psnr_db), own = k === taken;
   const blur = t`details under ${mm(detailOfPlan(spec, row))} will blur`, ours = k === made ? t(", this job's plan") : "";
-  const words = `${hours(row.hours * 3600)}, ${blur}, ${eyeWords(row.psnr_db)}, ${row.psnr_db.toFixed(1)} dB${ours}`;
+  const words = `${hours(row.hours * 3600)}, ${blur}, ${eyeWords(row.seen_db)}, ${row.psnr_db.toFixed(1)} dB${ours}`;
   return svg(
     "g", {
       class: `plan-point${own ? " taken" : ""}`, role: "radio", tabindex: own ? 0 : -1,
@@ -157,7 +142,7 @@ function inWords(job, row, k, made) {
   const passes = row.spec.passes ?? [], own = k === made;
   return [
     h("h3", {}, t`${hours(row.hours * 3600)}: details under ${mm(detailOfPlan(job.spec, row))} will blur`),
-    h("p", {}, t`On the wall: ${eyeWords(row.psnr_db)} `, h("small", { class: "dim" }, `(${row.psnr_db.toFixed(1)} dB)`)),
+    h("p", {}, t`On the wall: ${eyeWords(row.seen_db)} `, h("small", { class: "dim" }, `(${row.psnr_db.toFixed(1)} dB)`)),
     row.warning && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, sentence(row.warning))),
     h("ol", { class: "plan-passes" }, passes.map((pass, n) => passRow(pass, row.hours_by_pass?.[n]))),
     own

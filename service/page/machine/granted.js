@@ -39,7 +39,7 @@ async function askGrant(path, body, headers, left_ms) {
  * How long ago the press was, ms: by the clock that ran on, for one of them may stand still while the computer sleeps,
  * and the other may be set. A press that had to wait for a busy page is as old as the press.
  */
-function stopwatch() {
+export function stopwatch() {
   const pressed = globalThis.event?.timeStamp ?? performance.now();
   const wall = Date.now() - (performance.now() - pressed);
   return () => Math.max(performance.now() - pressed, Date.now() - wall);

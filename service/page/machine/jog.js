@@ -1,5 +1,6 @@
 /**
- * Jogging: one press is one step, never more; or, where a person has chosen that, the mill moves while it is pressed.
+ * Jogging: one press is one step, never more, and steps add up; or, where a person has chosen that, the mill moves while
+ * it is pressed.
  * Keyboard and gamepad jog only while they are armed, and they are armed only as long as the focus stays in the pad; a
  * key that is held down does nothing further. A tool in the block goes up; anywhere else only where a person has said so.
  */
@@ -10,6 +11,7 @@ import { watchGamepad } from "./gamepad.js";
 import { holdToJog } from "./held.js";
 import { depthInBlock, withinTravel } from "./place.js";
 import { enable, refusalLine } from "./refusal_line.js";
+import { WaitingSteps } from "./waiting_steps.js";
 import { isConnected, whyNot } from "./words.js";
 
 const STEPS_MM = [0.01, 0.1, 1, 10, 50, 100];
@@ -40,9 +42,13 @@ export function jogPanel(link) {
   const steps = stepChoice(() => showStep());
   const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });
   const inside = allowInBlock(() => link.changed());
-  const go = (by_mm) => words.run(() => link.order("jog", { by_mm: limitStep(link, inside, by_mm), feed_mm_per_min: feed.valueAsNumber }));
-  const hold = holdToJog(link, { go, feed: () => feed.valueAsNumber });
-  const step = (direction) => !steps.held() && go(direction.map((one, k) => one * Math.min(steps.mm(), k === 2 ? MOST_Z_MM : Infinity)));
+  const go = (by_mm, feed_mm_per_min, given) => words.run(() => link.order("jog", { by_mm: limitStep(link, inside, by_mm), feed_mm_per_min }, given));
+  const waits = h("p", { class: "waits dim", role: "status" });
+  const showWaiting = () => write(waits, waiting.words ? t`Waiting: ${waiting.words}` : waiting.dropped);
+  const waiting = new WaitingSteps(link, { send: go, changed: showWaiting });
+  const hold = holdToJog(link, { go: (by_mm) => go(by_mm, feed.valueAsNumber), feed: () => feed.valueAsNumber });
+  const lengthOf = (direction) => direction.map((one, k) => one * Math.min(steps.mm(), k === 2 ? MOST_Z_MM : Infinity));
+  const step = (direction) => !steps.held() && words.run(() => waiting.press(lengthOf(direction), feed.valueAsNumber));
   const begin = (direction) => (steps.held() ? hold.begin(direction) : step(direction));
   const press = (event, direction) => event.button === 0 && steps.held() && hold.begin(direction);
   const buttons = PAD.map(([place, label, arrow, direction]) =>
@@ -71,12 +77,13 @@ export function jogPanel(link) {
     ),
     steps.node,
     h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, t("Feed")), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), inside.node),
-    words.node,
+    h("div", { class: "jog-words" }, waits, words.node),
   );
   let fitted = false;
   return {
     node,
     update() {
+      waiting.update();
       const why = whyNot(link);
       const able = why === "" && !link.busy;
       const heard = !link.away && isConnected(link.machine);

@@ -29,6 +29,8 @@ export class MillLink {
     this.looking = false;
     this.log = [];
     this.commands = 0; // number of ended commands, from the log
+    this.lastAnswer = null; // of the last of them
+    this.pressedStops = 0; // how often a stop was sent from here
     this.away = "";
     this.streamAway = ""; // a server that answers elsewhere may not know this mill yet
     this.gone = "";
@@ -110,6 +112,7 @@ export class MillLink {
     this.log.push(entry);
     if (entry.kind === "command") {
       this.commands += 1;
+      this.lastAnswer = entry.answer ?? null;
       if (this.run?.state === "parked") this.lookAtRun(this.run.id); // its warnings were for another zero
     }
     if (this.log.length > MOST_LOG) this.log.shift();
@@ -134,11 +137,14 @@ export class MillLink {
 
   // ---------------------------------------------------------------- what is said
 
-  /** Send an order outside a run, once; an Error if it was not accepted. It ends when the log has its result. */
-  order(what, body = {}) {
+  /**
+   * Send an order outside a run, once; an Error if it was not accepted. It ends when the log has its result.
+   * given: as of the press, if that was before now.
+   */
+  order(what, body = {}, given = this.givenNow()) {
     const before = this.commands;
     return this.runExclusively(async () => {
-      const answer = await this.give(`${this.path}/control/${what}`, body);
+      const answer = await this.give(`${this.path}/control/${what}`, body, given);
       this.unanswered = before; // before anything else may be pressed
       setTimeout(() => this.unanswered === before && this.forgetOrder(), ANSWER_MS);
       return answer;
@@ -179,15 +185,15 @@ export class MillLink {
   }
 
   /** Send an order that can start a motion, or change what a motion means. */
-  async give(path, body) {
-    const answer = await sendGranted({ machine: this.path, stops: this.stopCount, headers: this.lease.headers() }, path, body);
+  async give(path, body, { stops, headers } = this.givenNow()) {
+    const answer = await sendGranted({ machine: this.path, stops, headers }, path, body);
     this.stopper.words = "";
     return answer;
   }
 
-  /** The count of stops that this page knows: an order is refused if a stop came since. */
-  get stopCount() {
-    return this.stopper.countFrom(this.machine?.mill?.stops);
+  /** What an order that is pressed now rests on: who has control, and the stops that this page knows. It is refused if a stop came since. */
+  givenNow() {
+    return { stops: this.stopper.countFrom(this.machine?.mill?.stops), pressed: this.pressedStops, headers: this.lease.headers() };
   }
 
   /** One at a time, and not while an order is on its way. */
@@ -205,6 +211,8 @@ export class MillLink {
 
   /** hold, abort or jog-cancel: for everybody, at any time, while other orders are on their way. True if it was accepted. */
   async sendUrgent(what) {
+    this.pressedStops += 1;
+    this.changed();
     try {
       return await this.stopper.stop(what, this.machine, this.away !== "");
     } finally {

@@ -7,9 +7,9 @@ import { ball, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
-import { refusalLine } from "./refusal_line.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { RUN_STATES, describe } from "./sentences.js";
-import { isZeroSet } from "./place.js";
+import { isZeroKnown, isZeroSet } from "./place.js";
 import { leftWords, programWords, runStanding, whyNot } from "./words.js";
 
 export function runCard(link) {
@@ -21,6 +21,7 @@ export function runCard(link) {
   const node = h("section", { class: "card running", "aria-labelledby": "run-title" }, h("div", { class: "row spread" }, title, state), progress.node, more);
   let shown = "";
   let list = null;
+  let frame = null;
   let idle = true;
   let setup = ""; // what the start rests on, as the mill said when the list was last without a tick
 
@@ -41,7 +42,8 @@ export function runCard(link) {
   const fill = (run) => {
     const parked = run.state === "parked";
     list = parked ? checklist(run, { label: t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
-    replace(more, notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
+    frame = parked ? frameButton(link, words) : null;
+    replace(more, notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
   };
   return {
     node,
@@ -71,6 +73,9 @@ export function runCard(link) {
       else if (rests !== setup) list?.clear(t("Zero or position have changed since: look again."));
       [idle, setup] = [stands, rests];
       list?.update(whyNot(link) || nextStep.bars, nextStep.step === "tick");
+      const mayMove = whyNot(link) === "" && isZeroKnown(link.machine, "XYZ");
+      if (frame) enable([frame.button], mayMove && !link.busy);
+      if (!mayMove) frame?.close();
     },
   };
 }
@@ -115,11 +120,20 @@ function aboutSpindle(run, profile) {
   return h("details", { class: "warned" }, h("summary", {}, t("What the spindle does on HOLD or if the computer fails")), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
 }
 
-function startControls(link, list, words) {
+/** The outline of the program at a safe height: where it will be cut is seen before anything is. */
+function frameButton(link, words) {
+  return guardedButton(t("Frame the job"), {
+    words: t("The tool goes up to the safe height, then once around the outline of the program, and cuts nothing. Is the way free?"),
+    yes: t("Go around it"),
+    act: () => words.run(() => link.order("frame", { program: link.run.program.sha256 })),
+  });
+}
+
+function startControls(link, list, frame, words) {
   const back = guardedButton(t("Take it off the mill"), {
     words: t("The program leaves the mill; nothing has been cut by it."),
     yes: t("Take it off"),
     act: () => words.run(() => link.abandonRun()),
   });
-  return [list.node, back.node];
+  return [list.node, h("div", { class: "row" }, frame.node, back.node)];
 }

@@ -1,8 +1,9 @@
-/** Before a program: home, the work zero by hand or by probe, unlock and reset. */
+/** Before a program: home, the work zero by hand or by probe, the way to it, unlock and reset. */
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { guardedButton } from "./ask.js";
+import { isZeroKnown } from "./place.js";
 import { cornerPart, probePart } from "./probe.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
@@ -26,6 +27,18 @@ export function setup(link) {
   const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, axes === "XY" ? t("X and Y = 0 here") : t`${axes} = 0 here`));
   const probe = probePart(order);
   const corner = cornerPart(order, () => link.changed());
+  const ways = [
+    guardedButton(t("Go to X0 Y0"), {
+      words: t("The tool goes up to the safe height, then straight to X0 Y0. Is the way free?"),
+      yes: t("Go there"),
+      act: () => order("go-to-zero", { axes: "XY" }),
+    }),
+    guardedButton(t("Go to X0 Y0 Z0"), {
+      words: t("The tool goes up to the safe height, across to X0 Y0, and slowly down to Z0, where it touches the block. Is the way free?"),
+      yes: t("Go down there"),
+      act: () => order("go-to-zero", { axes: "XYZ" }),
+    }),
+  ];
   const hint = h("p", { class: "dim" });
   const node = h(
     "section",
@@ -35,6 +48,7 @@ export function setup(link) {
     hint,
     h("h3", {}, t("Work zero")),
     h("div", { class: "row zeros" }, zeros),
+    h("div", { class: "row" }, ways.map((one) => one.node)),
     probe.node,
     corner.node,
     words.node,
@@ -54,7 +68,8 @@ export function setup(link) {
       enable([...zeros, probe.button], idle === "" && !link.busy);
       corner.update(link.run?.setup);
       enable([corner.button], idle === "" && !link.busy && corner.isWhole);
-      if (idle) for (const part of [probe, corner]) part.close();
+      enable(ways.map((one) => one.button), idle === "" && !link.busy && isZeroKnown(link.machine, "XYZ"));
+      if (idle) for (const part of [probe, corner, ...ways]) part.close();
       if (notLocked) unlock.close();
     },
   };

@@ -164,7 +164,7 @@ function notice(kind, words) {
 /** For the bar at the foot: one line. */
 export function estimateLine(estimate, first) {
   if (first) return t`About ${hours(3600 * estimate.hours)} of milling`;
-  const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}` : "";
+  const seen = Number.isFinite(estimate.seen_db) ? `; ${eyeWords(estimate.seen_db)}` : "";
   return t`About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
 }
 

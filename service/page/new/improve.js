@@ -40,7 +40,7 @@ export function improvements({ make, take }) {
     replace(list);
     state.textContent = "";
     element.hidden = !Number.isFinite(estimate.psnr_db) || !estimate.changes?.length;
-    if (!element.hidden && isHard(estimate.psnr_db)) ask(estimate);
+    if (!element.hidden && isHard(estimate.seen_db)) ask(estimate);
     else fold(true);
   }
 
@@ -56,7 +56,7 @@ export function improvements({ make, take }) {
   function reconsider(exact) {
     now.exact = exact;
     replace(list, now.found.map(line));
-    if (!element.hidden && !button.hidden && isHard(exact.psnr_db)) ask(now.estimate);
+    if (!element.hidden && !button.hidden && isHard(exact.seen_db)) ask(now.estimate);
   }
 
   function fold(folded) {
@@ -99,7 +99,7 @@ export function improvements({ make, take }) {
       "li",
       {},
       h("button", { type: "button", onclick: () => take(change) }, h("img", { class: "outcome", src: seen.wall, alt: "" }), h("span", {}, sentence(change.what).replace(/[.。]$/, ""))),
-      h("small", {}, [eyeWords(now.exact.psnr_db + seen.psnr_db - now.estimate.psnr_db), hours(3600 * seen.hours)].join(", ")),
+      h("small", {}, [eyeWords(now.exact.seen_db + seen.seen_db - now.estimate.seen_db), hours(3600 * seen.hours)].join(", ")),
     );
 
   return { element, show, focus, reconsider, stop };

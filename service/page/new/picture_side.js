@@ -99,7 +99,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     await light?.decode();
     if (now.estimate !== estimate) return; // something was changed meanwhile
     now.light = light;
-    write(wallNote, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.psnr_db));
+    write(wallNote, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.seen_db));
     seen.draw();
   }
 

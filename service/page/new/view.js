@@ -232,7 +232,7 @@ function newJob(profiles, app, withMills) {
       const job = await sending.send(await side.sent(), spec, priority.read());
       now.sent = true;
       keepOwn(spec);
-      if (asks.settled && now.estimate.exact) keepPrediction(job.id, now.estimate.psnr_db);
+      if (asks.settled && now.estimate.exact) keepPrediction(job.id, now.estimate.seen_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
       now.refused = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];

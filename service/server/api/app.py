@@ -34,7 +34,7 @@ _TAGS = [
     {"name": "artifacts", "description": "The files of a job."},
     {"name": "machines", "description": "The mills."},
     {"name": "runs", "description": "Programs on mills. Nothing moves before `:start`, and none of it by itself."},
-    {"name": "operations", "description": "For whoever runs the server."},
+    {"name": "operations", "description": "For the person who runs the server."},
 ]
 _ROUTERS = (
     submit,

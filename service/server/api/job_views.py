@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from service.job.files import is_program, program_order
+from service.job.files import is_program
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
 from service.job.stages.table import usual_seconds
 from service.server.api.services import Services
+from service.server.database.job_rows import sort_programs
 from service.server.database.jobs import MOST_POSITIONS
 from service.server.database.records import Artifact, Job, JobListRow, JobState, Progress, StageRun, priority_word
 from service.server.schemas.jobs import ArtifactView, ImageView, JobError, JobSummary, JobView, ProgramView, StageView
@@ -72,7 +73,7 @@ def make_view(
         report=job.report,
         spec=job.spec,
         stages=_stages(job, runs),
-        programs=[_program(job.id, number, file) for number, file in programs(files).items()],
+        programs=[_program(job.id, number, file) for number, file in enumerate(sort_programs(files), 1)],
     )
 
 
@@ -91,14 +92,6 @@ def make_artifact_view(file: Artifact) -> ArtifactView:
         media_type=media_type(file.name),
         url=f"/v1/jobs/{file.job_id}/artifacts/{file.name}",
     )
-
-
-def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
-    """Return the programs by number, from 1 in the order in which they are run: that of their pass, unless one is
-    split.
-    """
-    found = sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
-    return dict(enumerate(found, 1))
 
 
 def media_type(name: str) -> str:

@@ -38,9 +38,9 @@ from service.server.api.intake.child_requests import LOOKING, Estimator, Picture
 from service.server.api.intake.form import sweep_uploads
 from service.server.api.monitoring import Metrics, Readiness
 from service.server.api.services import Services
-from service.server.database.connection import await_schema, open_database
 from service.server.database.jobs import JobBook
 from service.server.database.pairing import PairingBook
+from service.server.database.schema import await_schema, open_database
 from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
 from service.server.pairing_code import CodeOnTerminal

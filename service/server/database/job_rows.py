@@ -13,7 +13,7 @@ for programs that were made after it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from phrases.phrase import phrases_in
+from service.job.files import is_program, program_order
 from service.server.database.connection import insert_new, is_sqlite, put_rows
 from service.server.database.records import (
     Artifact,
@@ -196,18 +197,23 @@ def list_offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artif
     """
     query = sa.select(artifacts).where(artifacts.c.job_id == job_id).order_by(artifacts.c.name)
     found = [Artifact.of(row) for row in connection.execute(query).mappings()]
-    checked = bool(_find_checked(connection, [job_id]))
+    checked = bool(_find_checked_jobs(connection, [job_id]))
     return [one for one in found if not one.name.startswith(".") and (checked or not _is_program(one))]
 
 
 def list_offered_programs(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, list[Artifact]]:
     """List by job those of `list_offered_artifacts` that its passes have made, for many jobs at once."""
-    found: dict[str, list[Artifact]] = {job_id: [] for job_id in _find_checked(connection, job_ids)}
+    found: dict[str, list[Artifact]] = {job_id: [] for job_id in _find_checked_jobs(connection, job_ids)}
     query = sa.select(artifacts).where(artifacts.c.job_id.in_(found)).order_by(artifacts.c.name)
     for row in connection.execute(query.where(artifacts.c.stage.startswith(PASS))).mappings():
         if _is_program(one := Artifact.of(row)):
             found[one.job_id].append(one)
     return found
+
+
+def sort_programs(files: Iterable[Artifact]) -> list[Artifact]:
+    """Return the programs among a job's files, in the order in which they are run: that of their pass and part."""
+    return sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
 
 
 def may_be_milled(connection: sa.Connection, job: Job) -> bool:
@@ -216,14 +222,14 @@ def may_be_milled(connection: sa.Connection, job: Job) -> bool:
     """
     if job.state is not JobState.RUNNING:
         return job.state is JobState.SUCCEEDED
-    return not job.cancel_requested and bool(_find_checked(connection, [job.id]))
+    return not job.cancel_requested and bool(_find_checked_jobs(connection, [job.id]))
 
 
 def _is_program(artifact: Artifact) -> bool:
     return artifact.stage.startswith(PASS) and not artifact.name.endswith(LOG)
 
 
-def _find_checked(connection: sa.Connection, job_ids: Collection[str]) -> set[str]:
+def _find_checked_jobs(connection: sa.Connection, job_ids: Collection[str]) -> set[str]:
     """Return those of the jobs whose last finished stage, of their passes and their check, is the check."""
     query = (
         sa.select(stage_runs.c.job_id, stage_runs.c.stage)

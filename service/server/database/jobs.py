@@ -30,7 +30,6 @@ from service.server.database.job_rows import (
     lock_job,
     may_be_milled,
     open_run_of,
-    read_counters,
     read_events,
     read_news,
     state_counter,
@@ -219,11 +218,6 @@ class JobBook:
         )
         with begin_reading(self.database) as connection:
             return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
-
-    def count_states(self) -> dict[JobState, int]:
-        """Return how many jobs are in each state."""
-        with begin_reading(self.database) as connection:
-            return count_jobs(read_counters(connection))
 
 
 # ---------------------------------------------------------------------- steps inside a transaction

@@ -288,7 +288,7 @@ class AgentLinks:
             found = self.links[machine.name] = AgentLink(machine, self.get_http_client)
         return found
 
-    def known_link(self, machine: str) -> AgentLink | None:
+    def get_known_link(self, machine: str) -> AgentLink | None:
         """Return the link used before, without a look at any file."""
         return self.links.get(machine)
 

@@ -91,7 +91,7 @@ class AgentFeed:
         return found
 
 
-def known_id(text: str) -> str:
+def parse_event_id(text: str) -> str:
     """Return the text if it is an event id of an agent, otherwise ""."""
     return text if _EVENT_ID.fullmatch(text) else ""
 

@@ -75,7 +75,7 @@ class FleetCore(AgentLinks):
     async def find_link(self, run: RunRow) -> AgentLink:
         """Return the link to the agent that has this run."""
         try:
-            return self.known_link(run.machine) or self.get_link(await self.find_machine(run.machine))
+            return self.get_known_link(run.machine) or self.get_link(await self.find_machine(run.machine))
         except Problem as gone:
             raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 

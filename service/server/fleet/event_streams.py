@@ -17,7 +17,7 @@ from service.http.event_hub import FIRST, PING, Message, compact_json, event_byt
 from service.http.problems import Problem, ServerCode
 from service.server.database.runs import ENDED, RunRow, read_reason
 from service.server.fleet.agent_client import AgentLink, Json
-from service.server.fleet.agent_feed import AGAIN_S, iterate_until, known_id
+from service.server.fleet.agent_feed import AGAIN_S, iterate_until, parse_event_id
 from service.server.fleet.agent_replies import AgentAwayError, as_problem, json_object, run_view, table
 from service.server.fleet.core import FleetCore
 from service.server.fleet.registry import KnownMachine
@@ -75,7 +75,7 @@ class MachineEvents:
                 if message is not None:
                     for entry in await self._read_history(link):
                         yield entry
-                    self._last_id = known_id(message.id) or self._last_id
+                    self._last_id = parse_event_id(message.id) or self._last_id
                 if piece := await self._read_piece(message):
                     yield piece
 
@@ -190,7 +190,7 @@ class RunEvents:
         async for message in iterate_until(self._core.ending, _follow_agent(self._core, self._run, self._last_id)):
             if message is None:
                 continue
-            self._failures, self._last_id = 0, known_id(message.id) or self._last_id
+            self._failures, self._last_id = 0, parse_event_id(message.id) or self._last_id
             if not message.data:
                 yield PING
                 continue

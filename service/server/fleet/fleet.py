@@ -19,7 +19,7 @@ from service.server.database.jobs import JobBook
 from service.server.database.records import PREPARING, ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
 from service.server.fleet.agent_client import OrderContext
-from service.server.fleet.agent_feed import known_id
+from service.server.fleet.agent_feed import parse_event_id
 from service.server.fleet.agent_replies import AgentAwayError, as_problem, parse_reply, require_answer
 from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore
@@ -115,7 +115,7 @@ class Fleet:
     async def follow_machine(self, name: str, last_id: str) -> AsyncIterator[bytes]:
         """Return what a mill does and what happens at it, as server-sent events without an end."""
         machine = await self._core.find_machine(name)
-        return self._follow(MachineEvents(self._core, machine, known_id(last_id)).stream())
+        return self._follow(MachineEvents(self._core, machine, parse_event_id(last_id)).stream())
 
     # ------------------------------------------------------------------ runs
 
@@ -177,7 +177,7 @@ class Fleet:
         run = await self._repair_and_look(await self._core.get_row(run_id))
         if last_id and not run.open and not run.away:
             return None
-        return self._follow(RunEvents(self._core, run, known_id(last_id)).stream())
+        return self._follow(RunEvents(self._core, run, parse_event_id(last_id)).stream())
 
     # ------------------------------------------------------------------
 

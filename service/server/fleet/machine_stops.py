@@ -34,7 +34,7 @@ class MachineStops:
         """
         self._links.stopped_s[machine] = context.arrived_s
         path = f"/v1/control/{stop.value}"
-        known = self._links.known_link(machine)
+        known = self._links.get_known_link(machine)
         if known is None:
             known = await self._find_present_link(machine, None)
             answer = await require_answer(known.send_urgent(path, headers=context.headers()), stop)

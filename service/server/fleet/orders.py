@@ -86,7 +86,7 @@ class Orders:
         """Carry out an order outside runs, from the holder of control. Problem 504 if its outcome is not known. It goes
         to the agent that gave the grant, and waits for no disk.
         """
-        link = self._core.known_link(machine) or self._core.get_link(await self._core.find_machine(machine))
+        link = self._core.get_known_link(machine) or self._core.get_link(await self._core.find_machine(machine))
         sending = link.send_once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
         return make_order_view(machine, what, await require_answer(sending, what))
 
@@ -136,7 +136,7 @@ class Controls:
             )
         needed = list_required_checks(run, around)
         if ORDER in needed and ORDER not in said.checks:
-            names = ", ".join(one.name for one in around.left_out(run.number))
+            names = ", ".join(one.name for one in around.list_left_out(run.number))
             raise Problem(
                 409,
                 Phrase(
@@ -264,7 +264,7 @@ class Stops(MachineStops):
 
     async def _stop_known(self, run: RunRow, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
         path = f"/v1/runs/{run.agent_run}:{stop.value}"
-        link = self._core.known_link(run.machine) or await self._find_present_link(run.machine, None)
+        link = self._core.get_known_link(run.machine) or await self._find_present_link(run.machine, None)
         return run, await require_answer(link.send_urgent(path, headers=context.headers()), stop)
 
     async def _ask_all(self, run_id: str, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:

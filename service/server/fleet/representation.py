@@ -13,8 +13,9 @@ from machines.runs import RECOVER_CHECKS, START_CHECKS
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.http.schema import phrase_views
-from service.job.files import is_program, list_programs, program_order
+from service.job.files import list_programs, program_order
 from service.milling.api import Check
+from service.server.database.job_rows import sort_programs
 from service.server.database.records import ABORTED, INTERRUPTED, PARKED, Artifact, Job
 from service.server.database.runs import RunRow
 from service.server.fleet.agent_replies import Json, make_mill_view, parse_holder, phrases_of, table
@@ -46,7 +47,7 @@ class Program:
 
 def programs_of(files: Sequence[Artifact]) -> list[Program]:
     """Return the programs among a job's files, in the order in which they are run."""
-    found = sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
+    found = sort_programs(files)
     passes = [program_order(file.name)[0] for file in found]
     return [
         Program(
@@ -141,7 +142,7 @@ class Surroundings:
     programs: Sequence[Program] = ()
     finished: frozenset[str] = frozenset()
 
-    def left_out(self, number: int) -> list[Program]:
+    def list_left_out(self, number: int) -> list[Program]:
         """Return earlier passes that this mill has not finished."""
         return [one for one in self.programs if one.number < number and one.sha256 not in self.finished]
 
@@ -152,7 +153,7 @@ class Surroundings:
 def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
     """Return the checks that a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
-        needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
+        needed = START_CHECKS | ({ORDER} if around.list_left_out(run.number) else frozenset())
     elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and has_started(run):
         needed = RECOVER_CHECKS
     else:
@@ -174,7 +175,7 @@ def make_run_view(run: RunRow, around: Surroundings) -> RunView:
         program=ProgramOfRun(number=run.number, name=run.program, sha256=run.sha256),
         setup=setup,
         required_checks=list_required_checks(run, around),
-        left_out=[ProgramOfRun.model_validate(one) for one in around.left_out(run.number)],
+        left_out=[ProgramOfRun.model_validate(one) for one in around.list_left_out(run.number)],
         next=None if following is None else ProgramOfRun.model_validate(following),
         created_by=run.created_by,
         created_at=run.created_at,

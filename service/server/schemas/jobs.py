@@ -242,10 +242,11 @@ class EstimateView(Body):
     smallest_detail_mm: Annotated[float, Field(description="on the screen; what is finer will blur")]
     passes: list[PassEstimate]
     planned: Annotated[bool, Field(description="the passes were planned for this estimate, on a coarse picture")]
-    exact: Annotated[bool, Field(description="a lens as fine as the picture told it; else `exactly` tells more")]
+    exact: Annotated[bool, Field(description="from a lens as fine as the picture; if not, `exactly` gives more")]
     hours: float
     blur_mm: Annotated[float, Field(description="root mean square on the screen")]
     psnr_db: Annotated[float | None, Field(description="likeness of the milled picture; null: no pass finishes it")]
+    seen_db: Annotated[float | None, Field(description="the same as an eye sees it, -10 log10(1 - correlation)")]
     wall: Annotated[
         str | None,
         Field(

@@ -16,12 +16,12 @@ class PhotoFile(Body):
 
 
 class PlaceView(Body):
-    """Where the foretold picture lies in the photograph, made smaller to photo_width x photo_height."""
+    """Where the predicted picture lies in the photograph, made smaller to photo_width x photo_height."""
 
     homography: Annotated[
         list[list[float]],
         Field(
-            description="3 x 3, row by row: pixels of the foretold picture, from its upper left, to the photograph's"
+            description="3 x 3, row by row: pixels of the predicted picture, from its upper left, to the photograph's"
         ),
     ]
     photo_width: int
@@ -46,7 +46,7 @@ class AngleView(Body):
 class WallView(Body):
     throw_off_mm: Annotated[float, Field(description="too far: positive")]
     throw_deviation_mm: float
-    throw_told: Annotated[bool, Field(description="whether the photograph tells it at all")]
+    throw_told: Annotated[bool, Field(description="whether the photograph determines it at all")]
     tilt_x: AngleView
     tilt_y: AngleView
 
@@ -59,7 +59,7 @@ class LightView(Body):
 class BlurView(Body):
     """Standard deviations on the wall."""
 
-    beyond_foretold_mm: Annotated[float, Field(description="negative: sharper than foretold")]
+    beyond_foretold_mm: Annotated[float, Field(description="negative: sharper than predicted")]
     foretold_mm: float
 
 
@@ -99,7 +99,7 @@ class LookView(Body):
     surface: SurfaceView
     likeness: LikenessView
     findings: Annotated[list[FindingView], Field(description="in the order in which a person acts")]
-    picture: Annotated[str, Field(description="base64 of a PNG: photograph, foretold, difference")]
+    picture: Annotated[str, Field(description="base64 of a PNG: photograph, prediction, difference")]
     phrases: Phrases
 
 

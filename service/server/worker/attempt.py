@@ -130,7 +130,7 @@ class StageRunner:
             return result
         while True:
             if (reason := self._watched.reason()) is not None:
-                self._end_stopped(reason, None, None)
+                self._end_stopped_job(reason, None, None)
                 return None
             begun = retry_while_away(lambda: self._context.work.begin_stage(self._claim, stage, key))
             path = self._scratch(begun, "log")
@@ -142,7 +142,7 @@ class StageRunner:
                 case Crashed(words) if self._count_crashes(stage) < STAGE_TRIES - 1:
                     self._close(begun, StageState.INTERRUPTED, words, record)
                 case Stopped(reason):
-                    self._end_stopped(reason, begun, record)
+                    self._end_stopped_job(reason, begun, record)
                     return None
                 case _:
                     self._fail(begun, end, record)
@@ -196,7 +196,7 @@ class StageRunner:
         retry_while_away(lambda: self._context.work.commit_stage(self._claim, begun, result, log=record, whole=whole))
         return result
 
-    def _end_stopped(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
+    def _end_stopped_job(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
         """End a stopped stage. If it was cancelled the job ends too; otherwise it goes on elsewhere, or here later."""
         if reason == "cancelled":
             if begun is not None:

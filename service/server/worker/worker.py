@@ -25,7 +25,7 @@ import structlog
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.processes import lifeline
 from service.server.database.claims import WorkBook
-from service.server.database.connection import open_database
+from service.server.database.schema import open_database
 from service.server.queue.dbos import DbosEngine
 from service.server.worker.attempt import Attempt, WorkerContext
 from service.server.worker.lease import Lease, LeaseRenewer, Watch

@@ -22,9 +22,10 @@ import sqlalchemy as sa
 import structlog
 from PIL import Image
 
-from service.server.database.connection import begin_writing, connect, upgrade_schema
+from service.server.database.connection import begin_writing, connect
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobState
+from service.server.database.schema import upgrade_schema
 from service.server.database.tables import executors
 from service.server.database.tokens import TokenBook
 from service.server.queue.dbos import DbosEngine
@@ -37,7 +38,7 @@ from tests.benchmarks.server.rows import row, spread
 from tests.benchmarks.server.sizes import times
 from tests.benchmarks.timing import Figure
 from tests.service.server.api.test_process import api_process
-from tests.service.server.database.many_jobs import job_id, load, run_id, state_of
+from tests.service.server.database.many_jobs import count_states, job_id, load, run_id, state_of
 from tests.service.server.worker.postgres import missing, running_postgres
 
 DATABASES = os.environ.get("BENCH_DATABASES", "sqlite,postgresql").split(",")
@@ -147,7 +148,7 @@ def _loops(database: sa.Engine, settings: ServerSettings, engine: DbosEngine, nu
     yield row(
         f"{number:,} jobs: reconciler, first turn (200 of the queue submitted)", _s(reconciler.reconcile), "s", n=1
     )
-    for _ in range(book.count_states()[JobState.QUEUED] // 200 + 2):
+    for _ in range(count_states(book)[JobState.QUEUED] // 200 + 2):
         reconciler.reconcile()
     turns = [_s(reconciler.reconcile) for _ in range(times(10))]
     yield from spread(f"{number:,} jobs: reconciler, a turn (each 3 s)", turns)

@@ -85,7 +85,7 @@ def test_facets_of_coarse_steps_cover_the_aperture_once(step, chord, seed):
     tracks = row_tracks(over, radius_mm=0.5, pitch_mm=0.02)
     near = (np.abs(tracks.tips_mm[:, 1] - 0.5) < 0.6) | ~tracks.joined
     tracks = Tracks(radius_mm=0.5, tips_mm=tracks.tips_mm[near], joined=tracks.joined[near])
-    tracks = tracks.divide(chord).made_by(step_mm=step, noise=Noise(sigma_mm=0.001, seed=seed))
+    tracks = tracks.divide(chord).run_on_mill(step_mm=step, noise=Noise(sigma_mm=0.001, seed=seed))
     facets = facets_of(surface_of(tracks, over, pitch_mm=max(0.02, step), step_mm=step, z_noise_mm=0.001))
     assert np.isfinite(facets).all()
     _, weights = spread_over(facets, np.full(2, 0.2), np.full(2, 0.8), parts=10)
@@ -95,17 +95,17 @@ def test_facets_of_coarse_steps_cover_the_aperture_once(step, chord, seed):
 def test_steps_are_whole_and_noise_is_one_error_a_row():
     over = lens(tilt=(0.1, 0.0))
     plain = row_tracks(over, radius_mm=1.0, pitch_mm=0.1)
-    stepped = plain.made_by(step_mm=0.004)
+    stepped = plain.run_on_mill(step_mm=0.004)
     assert np.abs(stepped.tips_mm / 0.004 - np.round(stepped.tips_mm / 0.004)).max() < 1e-6
     assert np.abs(stepped.tips_mm - plain.tips_mm).max() <= 0.002 + 1e-12
-    noisy = plain.made_by(noise=Noise(sigma_mm=0.001))
+    noisy = plain.run_on_mill(noise=Noise(sigma_mm=0.001))
     error = noisy.tips_mm[:, 2] - plain.tips_mm[:, 2]
     rows = [error[plain.tips_mm[:, 1] == y] for y in np.unique(plain.tips_mm[:, 1])]
     rows = [row for row in rows if row.size > 10]
     assert len(rows) > 30
     assert all(np.ptp(row) < 1e-12 for row in rows)
     assert np.std([row[0] for row in rows]) == pytest.approx(0.001, rel=0.4)
-    again = plain.made_by(noise=Noise(sigma_mm=0.001))
+    again = plain.run_on_mill(noise=Noise(sigma_mm=0.001))
     assert np.array_equal(noisy.tips_mm, again.tips_mm)
 
 
@@ -183,7 +183,7 @@ def test_the_deeper_of_two_programs_counts():
 def test_samples_have_the_slopes_of_the_whole():
     over = lens(tilt=(0.1, 0.05), bend=(0.02, 0.01), side_mm=6.0)
     samples = np.concatenate(sample_facets(over, radius_mm=1.0, pitch_mm=0.05, z_noise_mm=0.0003))
-    tracks = row_tracks(over, radius_mm=1.0, pitch_mm=0.05).made_by(noise=Noise(sigma_mm=0.0003))
+    tracks = row_tracks(over, radius_mm=1.0, pitch_mm=0.05).run_on_mill(noise=Noise(sigma_mm=0.0003))
     whole = facets_of(surface_of(tracks, over, pitch_mm=0.05, z_noise_mm=0.0003))
     slopes = []
     for facets in (samples, whole):
@@ -273,7 +273,7 @@ def test_a_ramp_is_left_in_the_waves_of_the_screws(error_mm: tuple[float, float,
     tracks = row_tracks(lens, radius_mm=1.0, pitch_mm=0.05).divide(screws.longest_mm)
     made, meant = (
         map_departure([one], lens, pitch_mm=0.05, error_mm=0.005, finer=1).departure_mm[20:-20, 20:-20]
-        for one in (tracks.made_by(screws=screws), tracks)
+        for one in (tracks.run_on_mill(screws=screws), tracks)
     )
     # The tip stands a ball's radius off its contact, along the slope and in height.
     root = math.hypot(1.0, slope)

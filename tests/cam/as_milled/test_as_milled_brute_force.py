@@ -95,7 +95,7 @@ def test_slopes_are_those_of_brute_force(radius, pitch, step, noise, is_crossed)
     tracks = crossed(over, radius, pitch) if is_crossed else row_tracks(over, radius_mm=radius, pitch_mm=pitch)
     longest_mm = np.linalg.norm(np.diff(tracks.tips_mm, axis=0)[tracks.joined[1:]], axis=1).max()
     lean_mm = 0.3 * radius  # more than the slopes put a tip aside of where it touches
-    tracks = near_the_window(tracks.made_by(step_mm=step, noise=Noise(sigma_mm=noise)), lean_mm + longest_mm)
+    tracks = near_the_window(tracks.run_on_mill(step_mm=step, noise=Noise(sigma_mm=noise)), lean_mm + longest_mm)
     judge(tracks, over, pitch=pitch, step=step, noise=noise, places=6000)
 
 
@@ -106,5 +106,7 @@ def test_slopes_are_those_of_brute_force(radius, pitch, step, noise, is_crossed)
 def test_slopes_of_moves_hardly_longer_than_steps_are_those_of_brute_force(radius, pitch, step, noise, chord):
     over = lens(tilt=(0.15, -0.1), bend=(0.03, -0.05))
     tracks = row_tracks(over, radius_mm=radius, pitch_mm=pitch).divide(chord)
-    tracks = near_the_window(tracks.made_by(step_mm=step, noise=Noise(sigma_mm=noise)), 0.2 * math.sqrt(radius) + 0.3)
+    tracks = near_the_window(
+        tracks.run_on_mill(step_mm=step, noise=Noise(sigma_mm=noise)), 0.2 * math.sqrt(radius) + 0.3
+    )
     judge(tracks, over, pitch=pitch, step=step, noise=noise, places=3000)

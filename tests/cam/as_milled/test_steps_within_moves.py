@@ -55,7 +55,7 @@ def test_slopes_along_rows_are_those_of_every_step(radius, pitch, tilt, bend, wh
     """Their rms within 10 %, and what is left of waves in their light, where half or more is left, within 0.1."""
     over = lens(tilt=tilt, bend=bend)
     rows = row_tracks(over, radius_mm=radius, pitch_mm=pitch)
-    made = (on_whole_steps(rows, pitch) if whole_steps else rows).made_by(step_mm=STEP_MM)
+    made = (on_whole_steps(rows, pitch) if whole_steps else rows).run_on_mill(step_mm=STEP_MM)
     surface = surface_of(made, over, pitch_mm=pitch, step_mm=STEP_MM, within_mm=STEP_MM)
     points, weights = spread_over(facets_of(surface), LOW, HIGH)
     mine = points[:, 3] - over.spline().jets(points[:, 0], points[:, 1])[1]
@@ -70,7 +70,7 @@ def test_slopes_along_rows_are_those_of_every_step(radius, pitch, tilt, bend, wh
 
 def test_steps_add_nothing_where_there_are_none_or_all_is_level():
     for over, step_mm in ((lens(tilt=(0.1, 0.0)), 0.0), (lens(), STEP_MM)):
-        made = row_tracks(over, radius_mm=1.0, pitch_mm=0.05).made_by(step_mm=step_mm)
+        made = row_tracks(over, radius_mm=1.0, pitch_mm=0.05).run_on_mill(step_mm=step_mm)
         found = measure_spread([made], over, step_mm=step_mm, reach_mm=0.2)
         assert not found.half_width.any()
         assert (np.diff(found.slopes) > 0).all()
@@ -80,7 +80,7 @@ def test_steps_add_teeth_to_a_slope():
     """A tooth for each step: even slopes in +- s / 2mR, where rows are too far apart to hide them."""
     slope, radius, step = 0.1, 0.5, 0.01
     over = lens(tilt=(slope, 0.0))
-    made = row_tracks(over, radius_mm=radius, pitch_mm=0.2).made_by(step_mm=step)
+    made = row_tracks(over, radius_mm=radius, pitch_mm=0.2).run_on_mill(step_mm=step)
     found = measure_spread([made], over, step_mm=step, reach_mm=0.3)
     assert np.median(found.half_width) == pytest.approx(step / (2 * slope * radius), rel=0.3)
     assert math.isclose(np.median(found.slopes), slope, rel_tol=0.05)

@@ -43,7 +43,6 @@ angles = st.floats(0, math.pi)
 def test_even_lines_are_as_far_apart_as_they_are(spacing, angle, offset):
     gap = widest(*straight_lines(spacing, angle, offset))
     assert gap.width_mm == pytest.approx(spacing, abs=3e-6)  # tracks are held in millionths of a millimetre
-    assert (gap.bare_share > 0) == (spacing > 1.03 * PITCH) or abs(spacing / PITCH - 1) < 0.03
 
 
 @settings(max_examples=25, deadline=None)
@@ -75,7 +74,6 @@ def test_a_short_stretch_left_out_is_found_wherever_it_is(share, angle, length, 
     if wanted > HIDDEN * PITCH:
         assert gap.width_mm == pytest.approx(wanted, abs=5e-6)
         assert math.hypot(gap.x_mm - x, gap.y_mm - y) < max(a, s)
-    assert (gap.bare_share > 0) or wanted <= HIDDEN * PITCH
 
 
 @pytest.mark.thorough

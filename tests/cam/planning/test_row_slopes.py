@@ -69,7 +69,7 @@ def test_slopes_are_those_of_the_facets_that_are_left(noise_mm: float) -> None:
     radius_mm, pitch_mm, side_mm = 1.0, 0.04, 8.0
     lens = Heightfield.on_aperture(np.full((9, 9), -0.1), width_mm=side_mm, height_mm=side_mm)
     tracks = row_tracks(lens, radius_mm=radius_mm, pitch_mm=pitch_mm)
-    tracks = tracks.made_by(noise=Noise(sigma_mm=noise_mm) if noise_mm else None)
+    tracks = tracks.run_on_mill(noise=Noise(sigma_mm=noise_mm) if noise_mm else None)
     surface = MilledSurface.of_tracks([tracks], lens, pitch_mm=pitch_mm, error_mm=noise_mm)
     facets = np.concatenate([surface.part(k) for k in range(surface.parts)])
     middle = facets[..., :2].mean(axis=1)

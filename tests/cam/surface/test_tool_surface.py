@@ -99,10 +99,10 @@ def test_two_hills_hold_a_ball_that_newton_alone_would_sink():
     assert surface.tip_heights_mm([4.0], [3.0])[0] == pytest.approx(truth, abs=1e-4)
     assert truth > -0.5
     naive = surface.kernel._replace(guarded=np.zeros_like(surface.kernel.guarded))
-    sunk = ToolSurface(radius_mm=1.0, allowance_mm=0.0, lowest_mm=0.0, highest_mm=0.0, guarded_share=0.0, kernel=naive)
+    sunk = ToolSurface(radius_mm=1.0, allowance_mm=0.0, lowest_mm=0.0, highest_mm=0.0, kernel=naive)
     assert sunk.tip_heights_mm([4.0], [3.0])[0] <= truth + 1e-4
     shallow = make_lens(lambda x, y: -0.1 * np.exp(-(((x - 4) / 2) ** 2)))
-    assert ToolSurface.over(shallow, radius_mm=1.0).guarded_share == 0.0
+    assert not ToolSurface.over(shallow, radius_mm=1.0).kernel.guarded.any()
 
 
 def test_a_hill_straight_under_the_ball_beats_lower_rests_beside_it():
@@ -124,7 +124,7 @@ def test_far_hill_beats_the_valley_that_fits():
     surface = ToolSurface.over(spike, radius_mm=1.2)
     truth = brute_force(spike.spline(), 4.0, 3.0, 1.2, samples=1201) - 1.2
     naive = surface.kernel._replace(guarded=np.zeros_like(surface.kernel.guarded))
-    sunk = ToolSurface(radius_mm=1.2, allowance_mm=0.0, lowest_mm=0.0, highest_mm=0.0, guarded_share=0.0, kernel=naive)
+    sunk = ToolSurface(radius_mm=1.2, allowance_mm=0.0, lowest_mm=0.0, highest_mm=0.0, kernel=naive)
     x = np.linspace(2.5, 4.0, 60)
     assert sunk.tip_heights_mm(x, np.full(60, 3.0))[-1] < truth - 0.05  # what the guard is for
     assert surface.tip_heights_mm(x, np.full(60, 3.0))[-1] == pytest.approx(truth, abs=2e-5)

@@ -21,7 +21,7 @@ from dataclasses import replace
 import pytest
 
 from machines.driver import Driver, Event, FaultCause, Faulted, MillState, ProgramDone, ProgramLine
-from machines.drivers import open_driver
+from machines.open_driver import open_driver
 from machines.port import SerialPort
 from machines.profile import LinkSettings, load_profile
 from tests.waiting import PATIENCE_S

@@ -15,7 +15,7 @@ def shaken_mesh(seed: int, *, nx: int = 9, ny: int = 7) -> TriangleMesh:
     shake = np.random.default_rng(seed).uniform(-0.25, 0.25, (ny, nx, 2))
     shake[[0, -1]] = 0.0
     shake[:, [0, -1]] = 0.0
-    return mesh.moved(mesh.points_mm + shake.reshape(-1, 2))
+    return mesh.move_to(mesh.points_mm + shake.reshape(-1, 2))
 
 
 @given(seed=st.integers(0, 10_000))
@@ -58,8 +58,8 @@ def test_the_largest_step_is_exactly_the_last_without_a_flip(seed, speed):
     mesh = shaken_mesh(seed)
     velocity = speed * np.random.default_rng(seed + 1).normal(size=mesh.points_mm.shape)
     step = mesh.largest_step(velocity)
-    assert mesh.moved(mesh.points_mm + step * (1 - 1e-9) * velocity).areas().min() > 0.0
-    assert mesh.moved(mesh.points_mm + step * (1 + 1e-6) * velocity).areas().min() < 0.0
+    assert mesh.move_to(mesh.points_mm + step * (1 - 1e-9) * velocity).areas().min() > 0.0
+    assert mesh.move_to(mesh.points_mm + step * (1 + 1e-6) * velocity).areas().min() < 0.0
 
 
 def test_a_mesh_that_only_grows_or_drifts_has_no_largest_step():

@@ -13,7 +13,7 @@ def moved_square(n: int) -> TriangleMesh:
     x = np.linspace(0.0, 1.0, n + 1)
     mesh = TriangleMesh.build_regular(x, x)
     p = mesh.points_mm
-    return mesh.moved(p + 0.06 * np.sin(2 * np.pi * p) * np.cos(np.pi * p[:, ::-1]))
+    return mesh.move_to(p + 0.06 * np.sin(2 * np.pi * p) * np.cos(np.pi * p[:, ::-1]))
 
 
 def cosines(p):
@@ -97,7 +97,7 @@ def test_thin_and_sheared_triangles_do_not_stop_the_solver():
     mesh = TriangleMesh.build_regular(x, x)
     u, v = mesh.points_mm.T
     squeezed, sheared = u - 0.98 * np.sin(2 * np.pi * u) / (2 * np.pi), v - 0.2 * np.sin(np.pi * u) * np.sin(np.pi * v)
-    mesh = mesh.moved(np.stack([squeezed, sheared], axis=1))
+    mesh = mesh.move_to(np.stack([squeezed, sheared], axis=1))
     assert 0.0 < mesh.areas().min() < 0.02 * mesh.areas().max()
     solution = NeumannPoisson(mesh).solve(mesh, np.random.default_rng(0).normal(size=(n + 1) ** 2), tolerance=1e-6)
     assert solution.residual <= 1e-6

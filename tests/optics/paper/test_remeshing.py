@@ -18,7 +18,7 @@ def shaken(seed: int, *, nx: int = 13, ny: int = 10, by: float = 0.25) -> Triang
     shake = np.random.default_rng(seed).uniform(-by, by, (ny, nx, 2))
     shake[[0, -1]] = 0.0
     shake[:, [0, -1]] = 0.0
-    return mesh.moved(mesh.points_mm + shake.reshape(-1, 2))
+    return mesh.move_to(mesh.points_mm + shake.reshape(-1, 2))
 
 
 @given(seed=st.integers(0, 10_000))

@@ -21,6 +21,7 @@ from optics.refraction import tangent_per_slope
 from optics.transport.even_light import rim_slopes
 from optics.transport.grid_levels import average_boxes, level_shapes
 from optics.transport.solver import solve_transport
+from tests.optics.areas import areas_mm2
 
 
 def on_screen(settings: LensSettings, screen_mm: tuple[float, float], **changes: float) -> LensSettings:
@@ -46,7 +47,7 @@ def test_each_pixel_collects_its_share(settings: LensSettings, soft_picture: np.
     target = target_irradiance(soft_picture, viewed_from="lens")
     solution = solve_transport(target, settings.bench, skim_mm=0.1, tolerance=1e-4)
     assert solution.converged
-    areas = solution.transport_map().collect_areas_mm2() / (400 / target.size)
+    areas = areas_mm2(solution.transport_map().lens_mm) / (400 / target.size)
     assert areas.min() > 0  # no quad turned over
     assert areas.mean() == pytest.approx(1.0, abs=1e-12)  # the frame stays on the frame
     # corner quads see a wider stencil than the solver's midpoint quads: second-order difference on 48 pixels
@@ -197,8 +198,11 @@ def test_throw_too_short_names_the_shortest(settings: LensSettings) -> None:
     picture = np.full((32, 32), 0.01)
     picture[4:12, 4:12] = 1.0
     with pytest.raises(TotalReflectionError, match="throw of 3 mm") as caught:
-        design_lens(target_irradiance(picture, viewed_from="lens"), settings.on_bench(throw_mm=3.0))
-    longer = settings.on_bench(throw_mm=1.2 * caught.value.shortest_throw_mm)
+        design_lens(
+            target_irradiance(picture, viewed_from="lens"),
+            replace(settings, bench=replace(settings.bench, throw_mm=3.0)),
+        )
+    longer = replace(settings, bench=replace(settings.bench, throw_mm=1.2 * caught.value.shortest_throw_mm))
     assert design_lens(target_irradiance(picture, viewed_from="lens"), longer).converged
 
 
@@ -207,7 +211,9 @@ def test_the_throw_that_is_named_is_enough_for_a_large_screen(settings: LensSett
     hall = on_screen(settings, (50.0, 50.0), throw_mm=10.0)
     with pytest.raises(TotalReflectionError) as caught:
         design_lens(target, hall)
-    assert design_lens(target, hall.on_bench(throw_mm=caught.value.shortest_throw_mm)).converged
+    assert design_lens(
+        target, replace(hall, bench=replace(hall.bench, throw_mm=caught.value.shortest_throw_mm))
+    ).converged
     facade = on_screen(settings, (4000.0, 4000.0), throw_mm=50.0)
     with pytest.raises(TotalReflectionError, match="throw of 50 mm is too short"):
         design_lens(target, facade)
@@ -225,7 +231,9 @@ def test_a_lens_that_loses_its_light_has_not_converged(settings: LensSettings) -
     """All light in one corner pixel: the map exists, but the vertices are too few and some light misses the screen."""
     picture = np.zeros((64, 64))
     picture[0, 0] = 1.0
-    design = design_lens(target_irradiance(picture, viewed_from="lens"), settings.on_bench(throw_mm=34.0))
+    design = design_lens(
+        target_irradiance(picture, viewed_from="lens"), replace(settings, bench=replace(settings.bench, throw_mm=34.0))
+    )
     assert design.history[-1]["lost_light"] > 0.05
     assert not design.converged
     assert "misses the screen" in design.message

@@ -19,6 +19,12 @@ HELD_MM = 0.3  # three seconds at this feed
 FARTHER = 400  # a jog goes so much farther than it was ordered, so that one can see where it is stopped
 FAR_MM = FARTHER * HELD_MM
 STOPPED_MS = 30_000  # all of it takes twice as long
+SIX_PRESSES = """async (one) => {
+    for (let k = 0; k < 6; k += 1) {
+        one.click();
+        await new Promise((go) => setTimeout(go, 60));
+    }
+}"""
 PLATE_MM, RETRACT_MM = 1.5, 2.0
 
 
@@ -153,6 +159,21 @@ def test_a_hold_that_nothing_ends_is_short(at_mill: Page) -> None:
         finger.gone()
     assert len(sent) == 1
     at_mill.wait_for_timeout(1500)  # as above: nothing may be ordered that this word would stop
+
+
+def test_quick_presses_add_up(at_mill: Page) -> None:
+    """At 60 mm/min each takes a second; the log has the first one, and the rest as one."""
+    before = place_mm(at_mill, "X")
+    at_mill.get_by_label("1", exact=True).check()
+    feed = at_mill.get_by_role("region", name="Jog").get_by_label("Feed")
+    feed.fill("60")
+    with logged(at_mill, "Jog X -5 mm: done"):
+        at_mill.get_by_role("button", name="X minus").evaluate(SIX_PRESSES)
+        expect(at_mill.locator(".jog .waits")).to_have_text("Waiting: X −5 mm")
+    expect(readout(at_mill, "X", own=True)).to_have_text(f"−{6 - before:.3f}")
+    expect(at_mill.locator(".jog .waits")).to_be_empty()
+    feed.fill(str(FEED))
+    at_mill.get_by_label("while pressed").check()
 
 
 @pytest.mark.thorough

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from typing import Annotated, Any
+from unittest.mock import Mock, call
 
 import pytest
 from hypothesis import given
@@ -21,6 +22,8 @@ CORNER = {
 }  # fmt: skip
 GOOD: dict[str, dict[str, Any]] = {
     "jog": {"by_mm": [1.0, 0.0, -2.5]},
+    "go-to-zero": {"axes": "XYZ", "feed_mm_per_min": 800.0},
+    "frame": {"program": "ab" * 32},
     "probe": {"depth_mm": 5.0},
     "probe-corner": CORNER,
     "zero": {},
@@ -72,7 +75,11 @@ def test_a_stop_count_is_never_guessed(stops: object) -> None:
 
 def test_orders_become_what_the_mill_takes() -> None:
     assert set(GOOD) == set(ORDERS) and not set(ORDERS) & set(PLAIN_ORDERS)
-    made = {what: ORDERS[what].model_validate(body).command() for what, body in GOOD.items()}
+    calls = {"go-to-zero": call.go_to_zero("XYZ", 800.0), "frame": call.frame("ab" * 32, 1000.0)}
+    for what, expected in calls.items():
+        ORDERS[what].model_validate(GOOD[what]).make_act()(mill := Mock())
+        assert mill.mock_calls == [expected]
+    made = {what: ORDERS[what].model_validate(body).command() for what, body in GOOD.items() if what not in calls}
     assert made["jog"] == Jog((1.0, 0.0, -2.5), 500.0)
     assert made["probe"] == ProbeZ(5.0, 50.0, 0.0, 2.0)
     assert made["probe-corner"] == ProbeCorner(**CORNER, feed_mm_per_min=100.0, aside_mm=20, below_mm=5, retract_mm=5)

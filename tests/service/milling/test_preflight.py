@@ -231,12 +231,11 @@ def test_an_index_in_json_has_only_what_differs(read: Read) -> None:
 
 def test_the_planner_looks_ahead_as_far_in_cam_as_in_preflight() -> None:
     """GRBL 1.1 has 16 slots, one always free: `$I` and the profile say 15, the model of the planner wants 16."""
-    from cam.duration import DurationModel
-    from service.job.spec.lens_task import kinematics_of
+    from cam.duration import DurationModel, Kinematics
 
     assert GRBL.planner_blocks == limits_of(GRBL).planner_blocks == 15
-    assert kinematics_of(GRBL).planner_blocks == 16
-    assert DurationModel(kinematics_of(GRBL))._window == 15
+    assert Kinematics.of(GRBL).planner_blocks == 16
+    assert DurationModel(Kinematics.of(GRBL))._window == 15
 
 
 @pytest.mark.parametrize(

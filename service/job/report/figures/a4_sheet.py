@@ -58,7 +58,7 @@ class Paper:
     ) -> None:  # fmt: skip
         align = {"start": "left", "middle": "center", "end": "right"}[anchor]
         self._axes.text(
-            x, y, known(words), fontproperties=_font(bold, size), color=colour, ha=align, va="baseline",
+            x, y, replace_missing(words), fontproperties=_font(bold, size), color=colour, ha=align, va="baseline",
             rotation=turned_deg, rotation_mode="anchor", parse_math=False, zorder=self._take_order(),
         )  # fmt: skip
 
@@ -213,7 +213,7 @@ def _break(word: Word, width: float, size: float) -> Iterator[Word]:
     yield text, bold
 
 
-def known(text: str) -> str:
+def replace_missing(text: str) -> str:
     """Return the text with a box in place of each character that the font lacks."""
     marks = _characters()
     return "".join(one if ord(one) in marks else "\N{WHITE SQUARE}" for one in text)
@@ -233,7 +233,7 @@ def width_of(text: str, bold: bool, size: float) -> float:
 
 @lru_cache(maxsize=8192)
 def _ems(text: str, bold: bool) -> float:
-    wide, _, _ = text_to_path.get_text_width_height_descent(known(text), _font(bold, 100.0), ismath=False)
+    wide, _, _ = text_to_path.get_text_width_height_descent(replace_missing(text), _font(bold, 100.0), ismath=False)
     return float(wide) / 100.0
 
 

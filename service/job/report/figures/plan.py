@@ -23,7 +23,7 @@ _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
 
 def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> bytes:
     """Draw target, three plans from quick to best, and the curve of all; the choice is marked."""
-    shown = _shown(planned)
+    shown = _choose_shown(planned)
     target = planned.light.target
     white = float(target.max())
     columns = 1 + len(shown)
@@ -45,7 +45,7 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
     return png_bytes(figure)
 
 
-def _shown(planned: Planned) -> list[Candidate]:
+def _choose_shown(planned: Planned) -> list[Candidate]:
     """Return the quickest, the chosen and the best, each once, by time."""
     chosen = (planned.plan.quickest, planned.chosen, planned.plan.best)
     return [one for one in planned.plan.front if one in chosen]

@@ -5,11 +5,12 @@ Stops are taken at any time.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from machines.driver import Command
 from machines.mill.commands import describe_effect
 from machines.mill.mill import Mill
 from machines.mill.orders import GRANT_S, LEASE_S, Stop
@@ -39,25 +40,25 @@ class ControlRoutes:
             await read_body(request, Body)
             await access.order("resume", Mill.resume, caller, needs_lease=True)
         else:
-            command = await _read_command(request, what)
-            await access.order(what, lambda mill: mill.command(command), caller, needs_lease=True)
+            await access.order(what, await _read_order(request, what), caller, needs_lease=True)
         return JSONResponse(access.status(), status_code=202)
 
 
-async def _read_command(request: Request, what: str) -> Command:
+async def _read_order(request: Request, what: str) -> Callable[[Mill], None]:
     if what in PLAIN_ORDERS:
         await read_body(request, Body)
-        return PLAIN_ORDERS[what]()
+        command = PLAIN_ORDERS[what]()
+        return lambda mill: mill.command(command)
     if what not in ORDERS:
         allowed = ", ".join(sorted([*_STOPS, *ORDERS, *PLAIN_ORDERS, "resume"]))
         raise Problem(404, f"no control '{what}'; allowed: {allowed}")
     body = await read_body(request, ORDERS[what])
-    command = body.command()
+    act = body.make_act()
     if isinstance(body, BlockBody) and not body.confirm and (effect := describe_effect(body.text)):
         effect = Phrase("'{text}' {effect}", text=body.text.strip(), effect=effect)
         words = Phrase('{effect}. To send it anyway, send it again with "confirm": true', effect=effect)
         raise Problem(409, words, field="confirm", code=ServerCode.CONFIRM, more={"effect": effect})
-    return command
+    return act
 
 
 _MOST_ORDERS = 500

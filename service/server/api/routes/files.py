@@ -23,9 +23,10 @@ from service.job.files import is_drawing, zip_entry
 from service.server.api.access.guard import Reader
 from service.server.api.errors import Responses, refusals
 from service.server.api.intake.form import harmless_name
-from service.server.api.job_views import MEDIA_TYPES, make_artifact_view, media_type, programs
+from service.server.api.job_views import MEDIA_TYPES, make_artifact_view, media_type
 from service.server.api.routes.jobs import JobId, matches
 from service.server.api.services import services_of
+from service.server.database.job_rows import sort_programs
 from service.server.database.records import Artifact
 from service.server.schemas.jobs import ArtifactList
 from service.store.base import Store
@@ -212,7 +213,8 @@ async def artifact(request: Request, _: Reader, job_id: JobId, name: FileName, a
 async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: Asked) -> Response:
     """The program of pass n, as soon as every program of the job has been checked."""
     services = services_of(request)
-    found = programs(await asyncio.to_thread(services.book.list_artifacts, str(job_id)))
+    files = await asyncio.to_thread(services.book.list_artifacts, str(job_id))
+    found = dict(enumerate(sort_programs(files), 1))
     if n not in found:
         offered = ", ".join(map(str, found)) or Phrase("none yet")
         words = Phrase("the job offers no program {number}; offered: {offered}", number=n, offered=offered)
@@ -292,7 +294,7 @@ class _Outlet:
 
     def flush(self) -> None: ...
 
-    def taken(self) -> bytes:
+    def take(self) -> bytes:
         held, self._held = b"".join(self._held), []
         return held
 
@@ -304,8 +306,8 @@ def _write_zip(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
             with archive.open(zip_entry(file.name), "w", force_zip64=True) as target:
                 for piece in store.open_range(file.sha256):
                     target.write(piece)
-                    yield outlet.taken()
-    yield outlet.taken()
+                    yield outlet.take()
+    yield outlet.take()
 
 
 def _archive_etag(files: Sequence[Artifact]) -> str:

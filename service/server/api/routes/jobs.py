@@ -139,7 +139,7 @@ def _cancel_in_engine(services: Services, job: Job) -> None:
     try:
         services.engine.cancel(Ticket(job.id, job.attempt))
     except Exception as error:  # the engine's database may fail in any way: the job book has the cancellation
-        _log.warning("engine was not told", job=job.id, error=str(error)[:200])
+        _log.warning("the engine has not been notified", job=job.id, error=str(error)[:200])
 
 
 def _with_address(response: Response, job: JobView) -> JobView:
@@ -173,7 +173,7 @@ async def events(
     connection lives. A reader that does not keep up is dropped and may come back with Last-Event-ID.
     """
     services = services_of(request)
-    after = await asyncio.to_thread(_known, services, str(job_id), _after(last_event_id))
+    after = await asyncio.to_thread(_find_event, services, str(job_id), _after(last_event_id))
     if await asyncio.to_thread(_is_over, services, str(job_id), after):
         return Response(status_code=204)
     if services.feed.full:
@@ -190,7 +190,7 @@ def _after(last_event_id: str | None) -> int | None:
     return int(text)
 
 
-def _known(services: Services, job_id: str, after: int | None) -> int | None:
+def _find_event(services: Services, job_id: str, after: int | None) -> int | None:
     """Return the id, if there is such an event; else (the database is an older one, put back) the client begins
     anew.
     """

@@ -33,7 +33,7 @@ MachineName = Annotated[
 
 @router.get("/v1/machines", summary="List the mills")
 async def list_machines(request: Request, _: Reader) -> MachineList:
-    """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
+    """Every mill that has an agent or should have one, including those that do not answer or have a broken profile."""
     return await services_of(request).fleet.list_machines()
 
 
@@ -68,7 +68,7 @@ async def list_orders(
     before: Annotated[int | None, Query(ge=0, le=1 << 53, description="`next` of the page before")] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> PastOrders:
-    """Orders and stops, newest first: when, whose, from where, and what came of them. Kept by the mill's agent."""
+    """Orders and stops, newest first: time, person, origin and outcome. The mill's agent keeps them."""
     return await services_of(request).fleet.list_past_orders(machine, before, limit)
 
 
@@ -119,7 +119,17 @@ _CONTROL = "/v1/machines/{machine}/control"
 _WITH_BODY = {
     "jog": (
         "Jog a mill",
-        "THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events.",
+        "THE MILL MOVES by so much. Send it once, as every order; the events say what became of it.",
+    ),
+    "go-to-zero": (
+        "Go to the work zero",
+        "THE MILL MOVES up to a safe height and across to X0 Y0; with XYZ then down to Z0. Refused where the position\n"
+        "is not certain, a zero is not set, or a place on the way lies outside the travel.",
+    ),
+    "frame": (
+        "Go around the outline of the program that waits",
+        "THE MILL MOVES up, at least to the height at which the program travels, and around its outline there.\n"
+        "Refused as go-to-zero is.",
     ),
     "probe": ("Probe Z", "THE MILL MOVES down until it touches; work Z is set there, and it moves up again."),
     "probe-corner": (
@@ -191,9 +201,9 @@ async def grant(
     context: Order,
     body: GrantBody | None = None,
 ) -> GrantView:
-    """To be asked for when the person presses the button, and sent with the order: under it the mill's agent carries
-    one order out, within seconds, unless somebody stops the mill or takes control first. A grant that took longer than
-    two seconds to come is not for now any more: ask again.
+    """Ask for a grant when the person presses the button, and send it with the order. With it the mill's agent carries
+    out one order, within seconds, unless somebody stops the mill or takes control first. Do not use a grant that took
+    longer than two seconds to come: ask again.
     """
     response.headers["Cache-Control"] = "no-store"
     return await services_of(request).fleet.orders.grant(machine, context, None if body is None else body.stops)
@@ -211,9 +221,9 @@ async def events(
     machine: MachineName,
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=100)] = None,
 ) -> Response:
-    """`status` tells how the mill stands, as GET of the machine does, at once and at most five times a second; `log`
-    what happens at it. It goes on while the mill's agent is away. A reader who comes back with the id of the last event
-    misses nothing that the agent remembers; a new one is told the latest of it.
+    """`status`: the state of the mill, as GET of the machine gives it, at once and at most five times a second; `log`:
+    what happens at the mill. The stream goes on while the mill's agent is away. A reader that returns with the id of
+    its last event misses nothing that the agent remembers; a new reader gets the latest part of it.
     """
     stream = await services_of(request).fleet.follow_machine(machine, last_event_id or "")
     return StreamingResponse(stream, headers=EVENT_HEADERS)

@@ -143,14 +143,14 @@ TokenId = Annotated[
 
 @router.get("/v1/whoami", summary="Who is calling")
 async def whoami(response: Response, principal: Known) -> WhoamiView:
-    """Name and scopes of the caller; 401 for one who is nobody here and needs a token or a code."""
+    """Name and scopes of the caller; 401 for a stranger, who needs a token or a code."""
     response.headers["Cache-Control"] = "no-store"
     return WhoamiView.model_validate(principal)
 
 
 @router.post("/v1/pairings", summary="Pair a page", status_code=201)
 async def pair(request: Request, response: Response, body: PairingBody) -> PairingView:
-    """A token for who knows the code that the server has printed where it runs: jobs, and running mills, for a day.
+    """A token for jobs and for running mills, valid for a day, in return for the code on the server's terminal.
 
     Five wrong tries may come at once from an address, then one a minute; 429 says when to try again.
     """
@@ -181,14 +181,14 @@ def _pair(request: Request, body: PairingBody) -> PairingView:
 
 @router.get("/v1/tokens", summary="List tokens")
 async def list_tokens(request: Request, _: Admin) -> TokenList:
-    """All that were ever made, oldest first. The tokens themselves are known to nobody."""
+    """All tokens that were ever made, oldest first, without the secrets: the server keeps only digests."""
     found = await asyncio.to_thread(services_of(request).tokens.list_rows)
     return TokenList(tokens=[TokenView.model_validate(token) for token in found])
 
 
 @router.post("/v1/tokens", summary="Make a token", status_code=201, responses=refusals(507))
 async def create(request: Request, response: Response, principal: Admin, body: NewTokenBody) -> NewTokenView:
-    """The answer holds the token, this once."""
+    """Only this answer holds the token itself."""
     if beyond := sorted(set(body.scopes) - principal.scopes):
         words = Phrase(
             "your token lacks {scopes} itself; `causticmill token create` on the server gives it",
@@ -204,7 +204,7 @@ async def create(request: Request, response: Response, principal: Admin, body: N
 
 @router.delete("/v1/tokens/{id}", summary="Revoke a token")
 async def revoke(request: Request, _: Admin, token_id: TokenId) -> TokenView:
-    """It opens nothing any more, at once. It stays in the list."""
+    """It is refused from now on. It stays in the list."""
     try:
         token = await asyncio.to_thread(services_of(request).tokens.revoke, token_id)
     except LookupError as error:

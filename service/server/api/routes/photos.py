@@ -71,8 +71,9 @@ _ZIP_ANSWERS: Responses = {
     openapi_extra=_PHOTO_FORM,
 )
 async def post_look(request: Request, response: Response, principal: Writer, job_id: JobId) -> dict[str, Any]:
-    """What is off: distance, tilt, turn, sharpness, surface, each with how surely it is told. A photograph that tells
-    nothing is refused with what to do. A caller who asks again of the same job ends the request before with 409.
+    """What is off: distance, tilt, turn, sharpness and surface, each with its uncertainty. A photograph that shows
+    nothing of them is refused, with advice. If a caller asks again about the same job, the earlier request ends with
+    409.
     """
     services = services_of(request)
     with tempfile.TemporaryDirectory(prefix="causticmill-look-") as folder:
@@ -93,8 +94,8 @@ async def post_look(request: Request, response: Response, principal: Writer, job
     responses=_ZIP_ANSWERS,
 )
 async def download_coupon(request: Request, principal: Writer, profile: ProfileName) -> Response:
-    """Programs, setup sheet and the light foretold of a piece that measures the mill and a finish. The first request
-    for a machine waits until the piece is made.
+    """Programs, setup sheet and predicted light of a test piece that measures the mill and a finish. The first request
+    for a machine waits until the piece has been designed.
     """
     services = services_of(request)
     await asyncio.to_thread(_require_profile, profile)
@@ -125,8 +126,8 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
 )
 async def measure(request: Request, response: Response, principal: Writer, profile: ProfileName) -> dict[str, Any]:
     """What a photograph of the test piece's light says of the mill and the finish, and what that means for a job's
-    spec. A photograph that says nothing is refused with what to do. A caller who asks again ends the request before
-    with 409.
+    spec. A photograph that shows nothing of them is refused, with advice. If a caller asks again, the earlier request
+    ends with 409.
     """
     services = services_of(request)
     await asyncio.to_thread(_require_profile, profile)

@@ -38,7 +38,9 @@ router = APIRouter()
 OwnName = Annotated[
     str,
     Path(
-        pattern=r"^[^\x00-\x1f\x7f/\\. ][^\x00-\x1f\x7f/\\]{0,39}$",
+        min_length=1,
+        max_length=40,
+        pattern=r"^[^\x00-\x1f\x7f/\\. ][^\x00-\x1f\x7f/\\]*$",
         description="of the profile",
         examples=["shop-mill"],
     ),
@@ -71,7 +73,7 @@ async def delete_profile(request: Request, _: Operator, profile: OwnName) -> Pro
 
 @router.get("/v1/jobs/{id:uuid}/request", tags=["jobs"], summary="What a job was asked for with")
 async def get_request(request: Request, _: Reader, job_id: JobId) -> RequestView:
-    """To be changed and posted as a new job: the spec is as short as it can be, and resolves to that of the job."""
+    """A request to change and post as a new job: its spec is as short as possible and resolves to the job's own."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
     spec = await asyncio.to_thread(reduce_spec, job.spec)
     return RequestView(name=job.name, spec=spec, image=f"/v1/jobs/{job.id}/image")
@@ -85,7 +87,7 @@ async def get_request(request: Request, _: Reader, job_id: JobId) -> RequestView
     responses=byte_answers("picture", ["application/octet-stream"]),
 )
 async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Response:
-    """The very bytes that were uploaded. They are a stranger's: no browser shows them as a page of ours."""
+    """The bytes as they were uploaded, with headers that keep a browser from showing them as a page of this server."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
     file = Artifact(
         job_id=job.id,
@@ -128,20 +130,17 @@ def mills_by_profile(
     found: dict[str, list[KnownMachine]] = {}
     names = {profile.name for profile in profiles}
     for mill in mills:
-        alike = (one.name for one in profiles if mill.profile is not None and _made_alike(one, mill.profile))
+        alike = (one.name for one in profiles if mill.profile is not None and _are_made_alike(one, mill.profile))
         name = mill.name if mill.name in names else next(alike, None)
         if name is not None:
             found.setdefault(name, []).append(mill)
     return found
 
 
-def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
+def _are_made_alike(one: MachineProfile, other: MachineProfile) -> bool:
     """Return whether programs for one are programs for the other: all but name, link and homing."""
     ours, theirs = asdict(one), asdict(other)
     return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})
-
-
-_TOOL_NAME = r"^[^\x00-\x1f\x7f]{1,40}$"
 
 
 class ToolView(Body):
@@ -150,7 +149,7 @@ class ToolView(Body):
     Of two that do equally well a plan takes that of the lower cost_class.
     """
 
-    name: Annotated[str, Field(pattern=_TOOL_NAME, examples=["ball-r1"])]
+    name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]*$", examples=["ball-r1"])]
     radius_mm: Annotated[float, Field(ge=0.05, le=25)]
     flutes: Annotated[int, Field(ge=1, le=8)] = 2
     flute_length_mm: Annotated[float, Field(ge=0.1, le=200, description="how high it cuts, from its tip")]
@@ -174,7 +173,7 @@ class ToolList(ToolsBody):
 
 @router.get("/v1/tools", tags=["machines"], summary="List the end mills that plans choose among")
 async def get_tools(_: Reader) -> ToolList:
-    """Those of the file tools.toml of whoever runs the server; without one, the usual ones."""
+    """Those of the file tools.toml in the configuration of the server's account; without that file, the usual ones."""
     return await asyncio.to_thread(_read_tools)
 
 

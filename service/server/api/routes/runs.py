@@ -111,5 +111,5 @@ async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> 
 
 @router.post("/v1/runs/{id:uuid}:recover", summary="Go on with an interrupted run", **_ORDER)
 async def recover(request: Request, _: Operator, run_id: RunId, said: RecoverBody, context: Order) -> RunView:
-    """THE MILL MOVES, as the plan says that was read. Needs every one of `required_checks`, the position too."""
+    """THE MILL MOVES, as the plan of GET recovery says. Needs every one of `required_checks`, the position too."""
     return await services_of(request).fleet.recover(str(run_id), said, context)

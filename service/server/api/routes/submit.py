@@ -149,9 +149,9 @@ Exactly = Annotated[bool, Query(description="from a lens as fine as the picture,
 async def post_estimate(
     request: Request, response: Response, principal: Writer, tab: Tab = "", exactly: Exactly = False
 ) -> dict[str, Any]:
-    """Relief, hours and blur, from a coarse picture unless it is to be exact. A caller who asks again ends the requests
-    before with 409, but an exact one lets a coarse one be; several windows of one caller name themselves, and do not
-    end each other's.
+    """Relief, hours and blur, from a coarse picture unless it is to be exact. If a caller asks again, earlier requests
+    end with 409, except that an exact one does not end a coarse one. Several windows of one caller give themselves
+    names, and do not end each other's requests.
     """
     services = services_of(request)
     settings = services.settings

@@ -1,4 +1,4 @@
-"""Alembic runs this: bring the database of the given connection up to date. `connection.py` calls it."""
+"""Alembic runs this: bring the database of the given connection up to date. `schema.py` calls it."""
 
 from alembic import context
 

@@ -192,7 +192,7 @@ def test_chords_keep_the_ends_of_rapids() -> None:
     mm = np.stack([np.arange(7.0), np.zeros(7), np.zeros(7)], axis=1)
     points = Points(mm=mm, time_s=np.arange(7.0), line=np.arange(7), kind=kind)
     chords = Chords(1.0)
-    kept = Points.joined([chords.add(points), chords.rest()])
+    kept = Points.join([chords.add(points), chords.rest()])
     assert kept.line.tolist() == [0, 2, 5, 6]
 
 

@@ -14,8 +14,8 @@ import pytest
 
 from optics.heightfield import Heightfield
 from service.client.download import files_of
-from service.job.files import is_drawing, is_known, is_program
-from service.job.page_data.surface import header_line, surface_bytes
+from service.job.files import is_drawing, is_known, is_program, make_header_line
+from service.job.page_data.surface import surface_bytes
 from tests.service.job.page_data.paths import batch_of, cut_in, header, level, rows, split_header, written
 from tests.service.server.api.server import ApiServer, api_server
 
@@ -34,7 +34,7 @@ def lens() -> Heightfield:
 
 @pytest.mark.parametrize("length", range(20))
 def test_arrays_begin_at_a_multiple_of_eight(length: int) -> None:
-    line = header_line({"name": "a" * length})
+    line = make_header_line({"name": "a" * length})
     assert len(line) % 8 == 0
     assert line.endswith(b"\n")
     assert split_header(line + b"\n123") == ({"name": "a" * length}, len(line))

@@ -17,7 +17,7 @@ from optics.bench import Bench
 from optics.heightfield import Heightfield
 from optics.refraction import tangent_per_slope
 from service.job.planning.predicted_light import PictureLight
-from service.job.planning.waves import Waves, lost_when_sharpened
+from service.job.planning.waves import Waves, compute_lost_when_sharpened
 
 SIDE, PIXELS, INDEX, THROW = 40.0, 64, 1.49, 80.0
 BALL = 3.0
@@ -89,7 +89,7 @@ def test_rows_blur_across_themselves(direction: str) -> None:
 def test_contours_blur_up_and_down_the_slope(slopes: tuple[float, float], kept: str) -> None:
     spread = rows(even_slopes(radius_mm=BALL, pitch_mm=0.3))
     waves = Waves.of((32, 32), (1.0, 1.0))
-    left = waves.kept(slanted(*slopes), spread, replace(SPEC, strategy="contour"), 40.0)
+    left = waves.compute_kept(slanted(*slopes), spread, replace(SPEC, strategy="contour"), 40.0)
     along, across = (left[0], left[:, 0]) if kept == "x" else (left[:, 0], left[0])
     assert along[-1] > 0.9  # within the angle that one of the directions stands for
     assert across[-1] < 0.3
@@ -167,7 +167,7 @@ def test_haze_is_in_a_predicted_picture_and_its_score_and_decides_nothing() -> N
 
 @given(kept=st.floats(-0.3, 1.0))
 def test_sharpening_never_loses_more_and_cannot_bring_back_what_is_gone(kept: float) -> None:
-    lost = float(lost_when_sharpened(np.array(kept)))
+    lost = float(compute_lost_when_sharpened(np.array(kept)))
     assert 0.0 <= lost <= 1.0 - kept + 1e-12
-    assert float(lost_when_sharpened(np.array(0.0))) == 1.0
-    assert float(lost_when_sharpened(np.array(1.0))) == 0.0
+    assert float(compute_lost_when_sharpened(np.array(0.0))) == 1.0
+    assert float(compute_lost_when_sharpened(np.array(1.0))) == 0.0

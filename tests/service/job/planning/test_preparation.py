@@ -161,7 +161,7 @@ def test_the_sheet_says_what_was_done_and_which_picture_scores_are_against() -> 
 
 def test_words_compare_the_wall_with_the_picture_as_given() -> None:
     """A prepared picture of more contrast scores lower for the same wall; a person does not see it."""
-    finished = {"psnr_db": 19.2, "against_original": {"psnr_db": 21.6, "ssim": 0.6}}
+    finished = {"psnr_db": 19.2, "seen_db": 8.0, "against_original": {"psnr_db": 21.6, "seen_db": 12.0, "ssim": 0.6}}
     card = make_finishing_card({"finishing": {"process": "felt", "steps": ["Rub."]}, "as_finished": finished})
     assert card is not None
     assert card["rows"] == [("The wall as finished", "21.6 dB: recognisable, visibly soft or uneven")]

@@ -34,7 +34,7 @@ POLISH = {"steps": 20, "psnr_db_before": 43.2, "psnr_db_after": 48.0, "change_um
 
 
 def optics(**values: Any) -> dict[str, Any]:
-    return {"optics": values}
+    return {"optics": {"seen_db": 30.0, **values}}
 
 
 def test_the_sheet_says_what_the_ball_and_the_polish_did() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pypdf import PageObject, PdfReader
 
 from service.job.picture.light_png import picture_png
-from service.job.report.figures.a4_sheet import HEIGHT, WIDTH, known, width_of, words_of, wrap
+from service.job.report.figures.a4_sheet import HEIGHT, WIDTH, replace_missing, width_of, words_of, wrap
 from service.job.report.setup_pdf import render_setup_pdf
 from service.job.report.setup_sheet import describe_setup
 from tests.service.job.report.sheet import render_report
@@ -177,4 +177,4 @@ def test_what_is_strong_is_bold_with_its_full_stop() -> None:
 
 
 def test_a_letter_that_the_font_has_not_got_is_a_box() -> None:
-    assert known("Ø 6 µm 顔") == "Ø 6 µm □"
+    assert replace_missing("Ø 6 µm 顔") == "Ø 6 µm □"

@@ -18,7 +18,7 @@ from service.job.report.passes import check_rows, flutes_in_words, order_in_word
 from service.job.spec.loading import resolve_spec
 from service.job.spec.optics import ellipse_mm
 from service.job.spec.tools import load_tools
-from service.wording import describe_misplaced, duration, number, psnr_in_words, size, whole
+from service.wording import describe_misplaced, duration, likeness_in_words, number, size, whole
 from tests.service.job.report.sheet import render_report
 
 SPEC = {
@@ -197,7 +197,7 @@ def test_words_for_numbers():
         "all light falls where it should",
         "about 1 part in 345 of the light falls where it should not",
     ]
-    assert len({psnr_in_words(psnr) for psnr in (200, 45, 35, 30, 25, 10)}) == 6
+    assert len({likeness_in_words(seen_db) for seen_db in (100, 40, 30, 20, 10, 5)}) == 6
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.6, 0.9, 0.95])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from optics import design
 from optics.heightfield import Array
 from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
@@ -16,7 +17,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import ResolvedJob, look_up
+from service.job.spec.resolve import ResolvedJob, look_up, with_plan
 from service.job.stages import kept_plans
 from service.job.stages.kept_plans import KeptPlans
 from service.job.stages.run import run_order
@@ -75,6 +76,26 @@ def test_an_exact_estimate_and_the_job_after_it_plan_once(tmp_path: Path, planne
     assert len(planned) == 2
 
 
+def test_the_lens_of_a_plan_is_the_one_that_the_job_would_make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So its descent is done once, also if the plan was kept for an estimate; another lens has its own."""
+    job = job_with_target(tmp_path, small("finish.process=sanding", "image.pixels=32"))
+    for _ in range(2):  # made, then found
+        result = run_order(job.order("passes"), job.store, lambda share: None, plans=tmp_path / "plans")
+    job.take("passes", result)
+    job.spec = with_plan(job.spec, job.report)
+    job.run("map")
+    taken, plan = job.bytes(".heights.npz"), job.outputs.pop(".polished.npz")
+    job.run("map")
+    assert job.bytes(".heights.npz") == taken
+    report, job.outputs[".polished.npz"] = job.results["map"].report["optics"], plan
+    monkeypatch.setattr(design, "polish_lens", lambda lens, *_, **__: (lens, report["polish"]))
+    job.run("map")
+    assert job.bytes(".heights.npz") == taken and job.results["map"].report["optics"] == report
+    job.spec = job.spec.model_copy(update={"optics": job.spec.optics.model_copy(update={"throw_mm": 31.0})})
+    with pytest.raises(TypeError):  # asks the fake for a record
+        job.run("map")
+
+
 @pytest.mark.thorough
 def test_a_job_s_plan_serves_the_estimates_after_it(tmp_path: Path, planned: list[ResolvedJob]) -> None:
     spec, plans = small(), tmp_path / "plans"
@@ -90,7 +111,7 @@ def fake_plans(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def describe(_: object, *, viewed_from: str) -> kept_plans.MadePlan:
         made.append(viewed_from)
-        seen = kept_plans.PredictedPicture(light=TARGET, target=TARGET, psnr_db=30.0, detail_mm=1.0)
+        seen = kept_plans.PredictedPicture(light=TARGET, target=TARGET, psnr_db=30.0, seen_db=20.0, detail_mm=1.0)
         return kept_plans.MadePlan(figures={"n": len(made)}, notes=[], draw=lambda: b"png", see=lambda: seen)
 
     monkeypatch.setattr(kept_plans, "plan_for_picture", lambda job, target, on_progress=None: None)

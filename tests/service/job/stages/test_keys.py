@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -361,15 +361,24 @@ def test_jobs_that_begin_at_once_find_the_same_sources() -> None:
     assert found.stdout.split() == [state_of_sources("service.job.stages.run")] * 4
 
 
-def test_planning_needs_no_arrays() -> None:
-    """The API and the worker plan; they must stay small."""
-    code = (
-        "import sys, service.job.stages.table, service.job.stages.order\n"
-        "from service.job.spec.loading import resolve_job\n"
-        "from service.job.stages.table import plan, stage_key\n"
-        "stage_key('image', resolve_job(), image_sha256='a', image_name='b', outputs={})\n"
-        "print(*({'numpy', 'numba', 'scipy', 'PIL', 'matplotlib', 'trimesh', 'rich'} & set(sys.modules)))"
-    )
+_PLANNING = """
+from service.job.spec.loading import resolve_job
+from service.job.stages.table import plan, stage_key
+stage_key('image', resolve_job(), image_sha256='a', image_name='b', outputs={})
+"""
+
+
+@pytest.mark.parametrize(
+    ("modules", "code", "heavy"),
+    [
+        (("table", "order"), _PLANNING, {"numpy", "numba", "scipy", "PIL", "matplotlib", "trimesh", "rich"}),
+        (("check",), "", {"scipy.ndimage", "scipy.spatial", "scipy.special", "matplotlib", "optics.transport"}),
+    ],
+    ids=["the API and the worker, which plan", "the check, which reads programs"],
+)
+def test_what_a_process_does_not_use_is_not_loaded(modules: Sequence[str], code: str, heavy: set[str]) -> None:
+    imports = ", ".join(f"service.job.stages.{module}" for module in modules)
+    code = f"import sys, {imports}\n{code}\nprint(*({heavy} & set(sys.modules)))"
     root = Path(__file__).parents[4]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
     assert done.stdout.split() == []

@@ -19,7 +19,7 @@ from service.job.spec.resolve import look_up
 from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 from service.progress import QuietReporter
-from service.server.api.job_views import programs
+from service.server.database.job_rows import sort_programs
 from service.server.fleet.representation import programs_of, set_up
 from tests.phrases.sentences import untold
 from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec, without_light
@@ -194,7 +194,7 @@ def test_names_tell_the_order() -> None:
 def test_programs_are_numbered_in_the_order_in_which_they_are_run() -> None:
     """So they are, unsplit, the numbers of the passes."""
     files: Any = [Stored(name) for name in reversed([*NAMES, "report.json"])]
-    assert [file.name for file in programs(files).values()] == NAMES
+    assert [file.name for file in sort_programs(files)] == NAMES
     found = programs_of(files)
     assert [(one.number, one.pass_number, one.part) for one in found] == [
         (1, 1, 1), (2, 2, 1), (3, 2, 2), (4, 2, 3), (5, 2, 4), (6, 2, 5), (7, 10, 1),

@@ -122,4 +122,4 @@ def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_p
 def test_the_agent_stays_small(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     agent.start(program(tmp_path / "p.nc", 100))
     agent.until(lambda status: status["progress"]["executed_line"] > 20)
-    assert 10 < agent.rss_mb() < 60
+    assert 10 < agent.rss_mb() < 52

@@ -137,6 +137,34 @@ def test_a_person_confirms_each_check_before_anything_moves(tmp_path: Path) -> N
         assert mill.cut == ends(20)
 
 
+def test_a_frame_is_asked_for_and_cuts_nothing_before_the_questions_of_the_start(tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", 20)
+    with bench(20.0) as mill:
+        with Terminal("stream", str(path), "--port", mill.url, "--frame") as person:
+            person.sees("zero is set")
+            person.types("y\n")
+            person.sees("nothing is in the way")
+            assert not mill.mill.recording.segments
+            person.types("y\n")
+            person.sees("Frame of p.nc: done")
+            person.sees("tool is in the spindle")
+            person.types("n\n")
+            assert person.ends() == 2
+        jogs = [one for one in mill.mill.recording.segments if one.kind == "jog"]
+        assert mill.cut == [] and len(jogs) >= 4
+        assert {round(one.end[2], 3) for one in jogs} == {5.0}
+
+
+def test_a_dry_pass_is_the_program_in_the_air_with_the_spindle_off(tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", 20)
+    with bench(20.0) as mill:
+        code, out, errors = ended(piped(str(path), "--port", mill.url, "--yes", "--dry-pass", "20"))
+        assert (code, errors) == (0, [])
+        assert any("spindle off" in line and "warning" in line for line in out)
+        assert [(x, y, z - 20.0) for x, y, z in mill.cut] == ends(20)
+        assert not any(one.spindle_on for one in mill.mill.recording.segments)
+
+
 @pytest.mark.thorough
 def test_keys_hold_resume_and_override(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 400)
@@ -428,6 +456,9 @@ def _talks(server: socket.socket) -> None:
         (["p.nc", "--port", "/dev/x", "--recover", "--dry-run"], "--dry-run"),
         (["p.nc", "--port", "/dev/x", "--confirm-position"], "--recover"),
         (["p.nc", "--port", "/dev/x", "--recover"], "--confirm-position"),
+        (["p.nc", "--port", "/dev/x", "--recover", "--confirm-position", "--yes", "--frame"], "--frame"),
+        (["p.nc", "--port", "/dev/x", "--yes", "--dry-pass", "0"], "1 to 200"),
+        (["p.nc", "--port", "/dev/x", "--recover", "--dry-pass", "9"], "--dry-pass"),
     ],
 )
 def test_options_that_cannot_be(

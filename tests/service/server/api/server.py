@@ -21,8 +21,9 @@ from service.http.admission import Admission
 from service.http.hosts import bind_address, url_of
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
-from service.server.database.connection import begin_writing, connect, upgrade_schema
+from service.server.database.connection import begin_writing, connect
 from service.server.database.job_rows import Counter, add_to_counters, write_event
+from service.server.database.schema import upgrade_schema
 from service.server.database.tables import artifacts, jobs, stage_runs
 from service.settings import ServerSettings
 from tests.service import databases

@@ -13,8 +13,9 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.job.spec.loading import resolve_spec
-from service.server.database.connection import begin_writing, is_sqlite
-from service.server.database.job_rows import Counter, add_to_counters
+from service.server.database.connection import begin_reading, begin_writing, is_sqlite
+from service.server.database.job_rows import Counter, add_to_counters, read_counters
+from service.server.database.jobs import JobBook, JobState, count_jobs
 from service.server.database.tables import (
     artifacts,
     events,
@@ -34,6 +35,11 @@ _CACHE_KB = 400_000  # of SQLite: hashes go into their indexes all over the plac
 _BLOCK = 1000  # jobs that are made here; all others are copies of them, made by the database
 _SHARES = ((90, "succeeded"), (95, "failed"), (97, "cancelled"), (100, "queued"))
 Row = dict[str, Any]
+
+
+def count_states(book: JobBook) -> dict[JobState, int]:
+    with begin_reading(book.database) as connection:
+        return count_jobs(read_counters(connection))
 
 
 def state_of(number: int) -> str:

@@ -16,8 +16,8 @@ import pytest
 from service.cli.main import run
 from service.errors import FailedError, InputError
 from service.server.database.backup import back_up, restore_backup, verify_store
-from service.server.database.connection import open_database
 from service.server.database.pairing import PairingBook
+from service.server.database.schema import open_database
 from service.server.database.tokens import TokenBook
 from service.server.pairing_code import new_offer
 from service.settings import ServerSettings

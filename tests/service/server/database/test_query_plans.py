@@ -15,9 +15,10 @@ import sqlalchemy as sa
 
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import StageClose, WorkBook
-from service.server.database.connection import is_sqlite, open_database
+from service.server.database.connection import is_sqlite
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobState, StageState
+from service.server.database.schema import open_database
 from service.server.database.tables import metadata
 from service.server.fleet.fleet import Fleet
 from service.server.queue.dbos import DbosEngine

@@ -19,17 +19,9 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from service.errors import FailedError, InputError
-from service.server.database import connection as schema
-from service.server.database.connection import (
-    HEAD,
-    alembic_config,
-    await_schema,
-    begin_reading,
-    begin_writing,
-    connect,
-    open_database,
-    upgrade_schema,
-)
+from service.server.database import schema
+from service.server.database.connection import begin_reading, begin_writing, connect
+from service.server.database.schema import HEAD, alembic_config, await_schema, open_database, upgrade_schema
 from service.server.database.tables import jobs, metadata
 from service.settings import ServerSettings
 from tests.service.server.worker.postgres import Postgres
@@ -71,7 +63,7 @@ def test_a_database_that_is_up_to_date_costs_no_alembic(farm: ServerSettings, da
 import sys
 from service.server.database.jobs import JobBook
 from service.server.database.job_rows import Counter, read_counters
-from service.server.database.connection import await_schema, open_database
+from service.server.database.schema import await_schema, open_database
 from service.settings import ServerSettings
 await_schema(open_database(ServerSettings.load(), migrate=True), 0)
 sys.exit("alembic" in sys.modules)

@@ -12,8 +12,8 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from service.server.database.connection import open_database
 from service.server.database.pairing import PairingBook
+from service.server.database.schema import open_database
 from service.server.database.tokens import TokenBook
 from service.server.pairing_code import ALPHABET, code_of, new_offer
 from service.settings import ServerSettings

@@ -22,9 +22,9 @@ from pathlib import Path
 
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import plan
-from service.server.database.connection import await_schema, open_database
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobState, NewJob, StageState
+from service.server.database.schema import await_schema, open_database
 from service.server.queue.dbos import DbosEngine
 from service.server.queue.engine import Ticket
 from service.settings import ServerSettings

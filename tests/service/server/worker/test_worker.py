@@ -138,5 +138,5 @@ def test_a_stage_that_crashes_three_times_fails_the_job(make: Callable[[float], 
     assert states == [StageState.INTERRUPTED, StageState.INTERRUPTED, StageState.FAILED]
     storm.book.retry(job_id, "me")
     assert storm.book.get(job_id).state == JobState.QUEUED
-    stage_pid(storm, 4)  # the reconcile loop submits what the engine was not told of
+    stage_pid(storm, 4)  # the reconcile loop submits what the engine does not know
     storm.stop()

@@ -8,8 +8,8 @@ import pytest
 
 from machines.drip.driver import DripDriver
 from machines.driver import Driver
-from machines.drivers import open_driver
 from machines.errors import MachineError, NotAllowedError, PortError
+from machines.open_driver import open_driver
 from machines.profile import LinkSettings, MachineProfile, load_profile
 from machines.roland.serial_driver import RolandSerialDriver
 
