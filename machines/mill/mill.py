@@ -223,9 +223,8 @@ class Mill:
             return
         raise NotAllowedError(
             Phrase(
-                "stop: run {run} is {run_state}, the mill {state}; hold it, or let it go on without this program "
-                "(detach)",
-                run=run.id,
+                "stop: {run} is {run_state}, the mill {state}; hold it, or let it go on without this program (detach)",
+                run=run.name,
                 run_state=run.state.words,
                 state=self.status.state.words,
             )

@@ -46,6 +46,11 @@ class Run:
         return str(self.record["id"])
 
     @property
+    def name(self) -> str:
+        """The program's name, which people know; the id is known only to who has parked the run."""
+        return str(self.record.get("name") or self.path.name)
+
+    @property
     def path(self) -> Path:
         """The program."""
         return Path(str(self.record["path"]))

@@ -166,7 +166,7 @@ class RunControl:
         run = self.context.runs.live
         if run is not None:
             if run.state not in (RunState.HELD, RunState.HOLDING):
-                words = f"resume: run {run.id} is {run.state.value}; allowed when it is held"
+                words = f"resume: {run.name} is {run.state.value}; allowed when it is held"
                 raise WrongStateError(words, MillCode.RUN_STATE, run.state)
             run.journal.repair()
             run.journal.append("resume", wall_s=round(self.context.wall_clock(), 3))

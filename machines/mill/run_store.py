@@ -173,7 +173,7 @@ class RunStore:
     def get(self, run_id: str) -> Run:
         run = self._runs.get(run_id)
         if run is None:
-            raise NotAllowedError(Phrase("no run '{run}' on this mill", run=run_id[:80]))
+            raise NotAllowedError(Phrase("this mill has no such run"))
         return run
 
     @property

@@ -46,10 +46,10 @@ class RecoveryPlanner:
     def plan(self, run: Run) -> tuple[RecoveryPlan, dict[str, Any] | None, Placement]:
         """Return the plan, with the answer and the position check on which it is based."""
         if run.state not in RECOVERABLE:
-            words = f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered"
+            words = f"recovery: {run.name} is {run.state.value}; only an interrupted or aborted run is recovered"
             raise WrongStateError(words, MillCode.RUN_STATE, run.state)
         if not run.record.get("started_s"):
-            words = f"recovery: run {run.id} was never started; load the program again"
+            words = f"recovery: {run.name} was never started; load the program again"
             raise NotAllowedError(words, code=MillCode.RUN_UNSTARTED)
         facts, reader = run.load()
         self._await_place(run)
@@ -91,7 +91,7 @@ class RunStarter:
         run = self.context.runs.get(run_id)
         if run.state is not RunState.PARKED:
             way = "recover it" if run.state in RECOVERABLE else "load the program again"
-            words = f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}"
+            words = f"start: {run.name} is {run.state.value} and does not wait for its start; {way}"
             raise WrongStateError(words, MillCode.RUN_STATE, run.state)
         confirmation.demand(START_CHECKS, "start")
         order.extend()
@@ -142,7 +142,7 @@ class RunStarter:
 
     def _ready_driver(self, doing: str) -> Driver:
         if (live := self.context.runs.live) is not None:
-            words = f"{doing}: run {live.id} is {live.state.value}; one run at a time"
+            words = f"{doing}: {live.name} is {live.state.value}; one run at a time"
             raise NotAllowedError(words, code=MillCode.RUN_LIVE)
         if self.context.link.latched:
             words = Phrase(

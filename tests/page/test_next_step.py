@@ -15,6 +15,7 @@ from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight, tick_all
 from tests.page.machine_states import MACHINE, PLAN, RUN, taken, told, with_control
 from tests.page.machine_states import NAME as MILL
+from tests.waiting import until
 
 SCREEN = f"#/machines/{MILL}"
 LOST = {"position_trusted": False, "zeroed": ""}
@@ -404,9 +405,36 @@ def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
     page.route("**/v1/machines/shop/control", lambda route: route.fulfill(status=204))
     page.evaluate("location.hash = '#/machines'")
     toast = page.locator(".toast")
-    expect(toast).to_contain_text("You gave back control of shop. pass-2-finish.nc goes on")
+    expect(toast).to_contain_text("You keep control of shop for 10 minutes. pass-2-finish.nc goes on")
     toast.get_by_role("button", name="Back to it").click()
     expect(page.get_by_role("heading", level=1, name=MILL)).to_be_visible()
+
+
+TEN_MINUTES = """
+    window.waits = [];
+    const later = setTimeout;
+    window.setTimeout = (act, ms) => (ms === 600000 ? (window.waits.push(act), 0) : later(act, ms));
+"""
+
+
+def test_who_leaves_the_view_to_read_keeps_control_for_a_while(opened: Opened) -> None:
+    """And gives no order from there: what is released is released once."""
+    page = with_control(opened, "idle", script=TEN_MINUTES)
+    released: list[str] = []
+    page.on("request", lambda asked: released.append(asked.url) if asked.method == "DELETE" else None)
+    page.route("**/v1/machines/shop/control", lambda route: route.fulfill(status=204))
+    page.evaluate("location.hash = '#/machines'")
+    expect(page.locator(".toast")).to_contain_text("You keep control of shop for 10 minutes.")
+    page.evaluate("location.hash = '#/machines/shop'")
+    expect(page.get_by_text("You have control.")).to_be_visible()
+    assert released == []
+    page.evaluate("location.hash = '#/machines'")
+    expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+    page.evaluate("window.waits.at(-1)()")
+    page.evaluate("location.hash = '#/machines/shop'")
+    expect(page.get_by_role("button", name="Take over")).to_be_visible()
+    until(lambda: (page.wait_for_timeout(20), released)[1], what="control is given back")
+    assert len(released) == 1
 
 
 @pytest.mark.thorough

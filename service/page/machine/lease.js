@@ -1,7 +1,7 @@
 /**
- * Control of one mill: one person at a time. A heartbeat keeps it, and leaving the view gives it back with a notice: a
- * person who looks elsewhere does not see what moves, and the next person need not wait. A program goes on without
- * anybody's control, and HOLD and STOP need none; the page asks before a window with a program closes.
+ * Control of one mill: one person at a time. A heartbeat keeps it, for some minutes after the view was left, too: who
+ * reads a sheet comes back. No order can be given from elsewhere, and the next person can take over. A program goes on
+ * without anybody's control, and HOLD and STOP need none; the page asks before a window with a program closes.
  */
 
 import { api } from "../lib/api.js";
@@ -11,15 +11,29 @@ import { addressOf, hasLiveRun, refusal } from "./words.js";
 
 const RENEW_MS = 20_000;
 const STALE_MS = 3000;
+const AWAY_MINUTES = 10;
+const kept = new Map(); // name of a mill -> the lease of its view, which was left
 const HEADER = "Causticmill-Control";
 
 export class Lease {
+  /** The lease of this view: the one that was kept when the same person left it, or a new one. */
+  static of(link) {
+    const found = kept.get(link.name);
+    kept.delete(link.name);
+    clearTimeout(found?.leaving);
+    if (found?.held && found.holder === api.who.name) return Object.assign(found, { link });
+    found?.end();
+    return new Lease(link);
+  }
+
   constructor(link) {
     this.link = link;
     this.path = `${link.path}/control`;
     this.secret = "";
     this.operator = "";
     this.since = "";
+    this.holder = ""; // whose key took it
+    this.leaving = 0;
     this.freshUntil = 0;
     this.timer = setInterval(() => this.held && this.renew(), RENEW_MS);
     this.stopListening = api.onAway((away) => !away && this.held && this.renew());
@@ -41,6 +55,7 @@ export class Lease {
   async take({ takeOver = false } = {}) {
     if (!(await api.need("machine:run"))) return;
     this.keep(await api.post(this.path, { operator: api.who.name, take_over: takeOver }));
+    this.holder = api.who.name;
     this.link.changed();
   }
 
@@ -51,13 +66,26 @@ export class Lease {
     await api.delete(this.path, { headers, ...options }).catch(() => {}); // it ends by itself
   }
 
+  /** The view was left: say so, and give control back in some minutes unless the person is back by then. */
   leave() {
     const { name, machine } = this.link;
+    kept.set(name, this);
+    this.leaving = setTimeout(() => this.end(), AWAY_MINUTES * 60_000);
     const live = hasLiveRun(machine);
     const more = live ? t` ${machine.run.program} goes on; HOLD and STOP are on its page.` : "";
     const back = { words: t("Back to it"), run: () => (location.hash = addressOf(name)) };
-    toast(t`You gave back control of ${name}.${more}`, { kind: live ? "bad" : "", action: live ? back : undefined });
-    this.release();
+    toast(t`You keep control of ${name} for ${AWAY_MINUTES} minutes.${more}`, { action: live ? back : { words: t("Give control back"), run: () => this.end() } });
+  }
+
+  /** Give control back, and listen no more: no view has this lease. */
+  end() {
+    if (kept.get(this.link.name) === this) kept.delete(this.link.name);
+    clearTimeout(this.leaving);
+    if (this.held) this.release();
+    clearInterval(this.timer);
+    this.stopListening();
+    removeEventListener("pagehide", this.onHide);
+    removeEventListener("beforeunload", this.onClose);
   }
 
   async renew() {
@@ -81,11 +109,8 @@ export class Lease {
   }
 
   close() {
-    clearInterval(this.timer);
-    this.stopListening();
-    removeEventListener("pagehide", this.onHide);
-    removeEventListener("beforeunload", this.onClose);
     if (this.held) this.leave();
+    else this.end();
   }
 
   keep({ control, operator, since }) {

@@ -37,7 +37,7 @@ export class MillLink {
     this.listeners = new Set();
     this.sending = false;
     this.unanswered = -1; // number of commands that had ended when an order was taken
-    this.lease = new Lease(this);
+    this.lease = Lease.of(this);
     this.socket = new StopSocket();
     this.stopper = new Stopper(name, this.socket);
     const stopListening = api.onAway((away) => this.setAway(away ? t("The server does not answer.") : this.streamAway));

@@ -317,7 +317,7 @@ def test_two_owners_of_one_folder(shop: Shop) -> None:
 
 
 def test_what_is_not_allowed_says_state_and_way_out(shop: Shop) -> None:
-    with pytest.raises(NotAllowedError, match="no run"):
+    with pytest.raises(NotAllowedError, match="no such run"):
         shop.mill.start("nothing", YES)
     shop.started()
     with pytest.raises(NotAllowedError, match="running"):

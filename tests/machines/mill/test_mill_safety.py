@@ -439,3 +439,24 @@ def test_an_order_is_for_the_setup_or_the_plan_that_was_seen(shop: Shop, order: 
     assert refused.value.code == {"start": Refusal.SETUP, "recover": Refusal.PLAN}[order]
     shop.pass_s(3.0)
     assert shop.cuts == before
+
+
+def test_a_refusal_names_the_program_and_never_an_id_that_the_caller_may_not_have(tmp_path: Path) -> None:
+    """A job server has ids of its own for runs: those of their mill's owner reach nobody."""
+    shop = Shop(tmp_path, LINES)
+    other = shop.mill.park(shop.facts, shop.path, "other part").id
+    refused = {
+        "recovery of what was never started": lambda: shop.mill.plan_recovery(shop.id),
+        "start of what runs": lambda: shop.mill.start(shop.id, YES),
+        "start of another": lambda: shop.mill.start(other, YES),
+        "resume of what runs": shop.mill.resume,
+        "close": shop.mill.close,
+        "no such run": lambda: shop.mill.start("20260101-000000-abcdef", YES),
+    }
+    for number, (what, act) in enumerate(refused.items()):
+        if number == 1:
+            shop.started()
+        with pytest.raises(NotAllowedError) as error:
+            act()
+        assert not any(run in str(error.value) for run in (shop.id, other, "20260101")), what
+        assert "part" in str(error.value) or what == "no such run", what

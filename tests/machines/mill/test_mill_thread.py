@@ -54,7 +54,7 @@ def waited(thread: MillThread, state: MillState) -> None:
 
 def test_results_and_exceptions_come_back(thread: MillThread) -> None:
     assert thread.call(lambda mill: mill.name) == "sim"
-    with pytest.raises(NotAllowedError, match="no run"):
+    with pytest.raises(NotAllowedError, match="no such run"):
         thread.call(lambda mill: mill.start("nothing", YES))
     with pytest.raises(ZeroDivisionError):
         thread.call(lambda mill: 1 // 0)
