@@ -159,24 +159,25 @@ def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_
     def answer(route: Route) -> None:
         spec = parts(route)[0]
         near = spec.get("optics", {}).get("throw_mm") == 10
-        thin = {"field": "spec.stock.thickness_mm", "detail": "it leaves 1 mm of the block", "use": 60}
+        thin = {"field": "spec.stock.margin_mm", "detail": "it leaves 1 mm of the block", "use": 60}
         if near:
             row = {"field": "spec.optics.throw_mm", "detail": "10 mm is too near", "use": 32}
             route.fulfill(**problem(422, detail="see there", problems=[row]))
         else:
-            route.fulfill(json=ESTIMATE_EXAMPLE | {"refusals": [] if "stock" in spec else [thin]})
+            route.fulfill(json=ESTIMATE_EXAMPLE | {"refusals": [] if spec["stock"]["margin_mm"] == 60 else [thin]})
 
     page.route("**/v1/estimates", answer)
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
-    bar, thickness = page.locator(".submit-bar"), page.get_by_label("Thickness")
-    expect(bar).to_contain_text("Such a lens cannot be made. Look at:Thickness")
+    bar, margin = page.locator(".submit-bar"), page.get_by_label("Margin around")
+    expect(bar).to_contain_text("Such a lens cannot be made. Look at:Margin around")
     expect(make_it(page)).to_be_disabled()
-    expect(thickness).to_be_hidden()
-    bar.get_by_role("button", name="Thickness").click()
-    expect(thickness).to_be_focused()
+    page.evaluate("for (const one of document.querySelectorAll('.fold')) one.open = false")
+    expect(margin).to_be_hidden()
+    bar.get_by_role("button", name="Margin around").click()
+    expect(margin).to_be_focused()
     page.get_by_role("button", name="Use 60 mm").click()
-    expect(thickness).to_have_value("60")
+    expect(margin).to_have_value("60")
     expect(make_it(page)).to_be_enabled()
     fill(page, Distance_to_the_wall="10")
     expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("10 mm is too near"))
@@ -287,6 +288,29 @@ def test_who_comes_from_a_job_for_what_shows_more_is_led_there(opened: Opened, w
     else:
         expect(shown).not_to_be_focused()
         assert page.evaluate("scrollY") == 0
+
+
+def test_what_is_worked_out_exactly_is_not_asked_again(opened: Opened) -> None:
+    """Back to values that were there before: their estimate is shown at once, until the cutters are others."""
+    page = open_blank(opened, "new")
+    asked: list[str] = []
+
+    def answer(route: Route) -> None:
+        exact = route.request.url.endswith("exactly=true")
+        width = parts(route)[0].get("optics", {}).get("width_mm", 100)
+        asked.append(f"{width} exactly" if exact else f"{width}")
+        route.fulfill(json=ESTIMATE_EXAMPLE | {"exact": exact, "hours": width / 10})
+
+    page.route(re.compile("/v1/estimates"), answer)
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    line = page.locator(".submit-bar .line").first
+    for width, hours in (("100", "10 h"), ("50", "5 h")):
+        fill(page, Width=width)
+        expect(line).to_have_text(re.compile(f"About {hours} of milling, details"))
+    fill(page, Width="100")
+    expect(line).to_have_text(re.compile("About 10 h of milling, details"))
+    assert asked == ["100", "100 exactly", "50", "50 exactly"]
 
 
 @pytest.mark.thorough

@@ -67,7 +67,7 @@ def test_who_has_no_job_is_told_in_one_sentence_what_to_do(opened: Opened) -> No
     expect(page.get_by_role("navigation", name="Which jobs")).to_be_hidden()
     expect(place.get_by_role("button", name="Choose a picture")).to_be_visible()
     page.get_by_role("group", name="Examples").get_by_role("button", name="Logo").click()
-    expect(page.get_by_label("Name of the job")).to_have_value("logo")
+    expect(page.get_by_label("Name of the job")).to_have_value("Logo")  # as it is called there
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
 from service.job.picture.linear_light import invert_tones, linear_to_srgb, srgb_to_linear
-from service.job.spec.loading import resolve_spec
+from service.job.spec.loading import DEFAULT_JOB, resolve_spec
 from service.job.spec.model import JobSpec
 from service.wording import likeness_in_words
 from tests.page import canned_job
@@ -79,7 +79,7 @@ def schema_keys(table: dict[str, Any], definitions: dict[str, Any], before: str 
 
 @pytest.mark.thorough
 def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choices(modules: Page) -> None:
-    schema = JobSpec.model_json_schema()
+    schema = JobSpec.model_json_schema() | {"default": DEFAULT_JOB}
     told = schema_keys(schema, schema["$defs"])
     fields = [row for group in ("MAIN", "LENS", "LIGHT", "MILL", "PICTURE") for row in rows(modules, group)]
     fields += [row for _, group in rows(modules, "EXPERT") for row in group]
@@ -96,7 +96,7 @@ def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choice
 @pytest.mark.thorough
 def test_a_key_that_is_new_in_the_spec_has_its_row(watched: Callable[..., Watched]) -> None:
     """Of what the schema says of it: label, hint, unit, limits, default; and what a person fills in is asked for."""
-    schema = JobSpec.model_json_schema()
+    schema = JobSpec.model_json_schema() | {"default": DEFAULT_JOB}
     words = {
         "title": "Tilt of the wall",
         "description": "Its upper edge to you.",
@@ -117,7 +117,7 @@ def test_a_key_that_is_new_in_the_spec_has_its_row(watched: Callable[..., Watche
     page.route("**/v1/estimates", estimate)
     page.goto("/#/new")
     choose(page, picture())
-    field = page.get_by_role("group", name="Lens").get_by_label("Tilt of the wall", exact=True)
+    field = page.get_by_role("group", name="All settings").get_by_label("Tilt of the wall", exact=True)
     expect(field).to_have_attribute("placeholder", "0")
     expect(field).to_have_attribute("title", "-60 to 60 °")
     expect(field).to_have_accessible_description("Its upper edge to you.")
@@ -242,7 +242,6 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     new_job.get_by_label("Draft").check()
     new_job.get_by_role("radio", name=re.compile("^Lamp")).check()
     new_job.get_by_label("Negative").check()
-    new_job.get_by_text("Expert:").click()
     fill(new_job, Pixels_across="64")
     new_job.get_by_label("Other values, as JSON").fill('{"optics": {"outline": [[0, 0], [30, 0], [15, 30]]}}')
     spec, _, _ = pressed(new_job, sent)
@@ -257,6 +256,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
             "light": {"kind": "point", "distance_mm": 1000},
             "outline": [[0, 0], [30, 0], [15, 30]],
         },
+        "stock": {"margin_mm": 20},  # shown, so sent: it differs between ways to plan
     }
     del spec["machine"]  # which this process does not know
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
@@ -383,6 +383,47 @@ def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent
     assert pressed(new_job, sent)[1] == file.getvalue()
 
 
+def test_a_dozen_inputs_are_asked_for_and_all_other_keys_are_found_by_word_key_and_hint(new_job: Page) -> None:
+    seen = """() => [...document.querySelectorAll(".new-job :is(input, select, textarea)")].filter((one) =>
+        one.checkVisibility({contentVisibilityAuto: true, visibilityProperty: true})).length"""
+    new_job.evaluate("for (const one of document.querySelectorAll('details')) one.open = false")
+    assert new_job.evaluate(seen) <= 12
+    new_job.get_by_text("All settings").click()
+    for wanted, label in (
+        ("HAZE", "Haze"),
+        ("stock.skim", "Skim off the top"),
+        ("scatters", "Haze"),
+    ):
+        new_job.get_by_label("Search all settings").fill(wanted)
+        expect(new_job.get_by_label(label, exact=True)).to_be_visible()
+        expect(new_job.get_by_label("Margin around", exact=True)).to_be_hidden()
+    new_job.get_by_label("Search all settings").fill("")
+    expect(new_job.get_by_label("Margin around", exact=True)).to_be_visible()
+
+
+TAKES_EVERY_JOB = """import("/page/lib/api.js").then(({ api }) => {
+    const upload = api.upload;
+    api.upload = async (path, ...how) => path === "/v1/jobs" ? { id: "x" } : upload(path, ...how);
+})"""
+
+
+def test_a_new_job_begins_with_mill_block_and_finish_of_the_last_one(opened: Opened) -> None:
+    page = opened("#/new")
+    choose(page, picture())
+    finish = page.get_by_label("Finished by hand")
+    expect(finish.locator("option:checked")).to_have_text("yes, as shows most")  # as a command begins
+    fill(page, Thickness_of_the_block="12", Width="33")
+    finish.select_option("felt and compound")
+    page.evaluate(TAKES_EVERY_JOB)
+    make_it(page).click()
+    expect(page.get_by_role("heading", level=1, name="New job")).to_have_count(0)
+    page.goto("/#/new")
+    expect(page.get_by_label("Thickness of the block")).to_have_value("12")
+    expect(finish.locator("option:checked")).to_have_text("felt and compound")
+    expect(page.get_by_label("Width", exact=True)).to_have_value("100")
+    page.evaluate("localStorage.clear()")
+
+
 def test_enter_ends_a_field_and_only_the_button_makes_the_job(new_job: Page, sent: list[Any]) -> None:
     """Without a mouse, or with a phone's keyboard, whose Go is Enter."""
     new_job.get_by_text("Your cutters").click()
@@ -451,7 +492,6 @@ def test_passes_by_hand_begin_with_those_that_would_be_milled(opened: Opened, pl
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
     expect(page.get_by_text("Machine time")).to_be_visible()
-    page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
     expect(page.locator(".passes").get_by_label("Pitch").first).to_have_value(
         f"{own[0]['pitch_mm']:g}" if planned else "0.5"
@@ -472,7 +512,6 @@ def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
     page.route("**/v1/estimates", lambda route: route.fulfill(status=422, json=answer))
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
-    page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
     rough, finish = page.locator(".passes > li").all()
     expect(rough.get_by_label("Pitch")).to_have_accessible_description("More than 0 is needed.")
@@ -504,7 +543,7 @@ def test_who_has_no_picture_begins_with_an_example_and_the_first_view_is_light(w
     assert 60_000 < page.evaluate(WEIGHT) <= 150_000
     examples.get_by_role("button", name="Logo").click()
     expect(wall(page)).to_be_visible()
-    expect(page.get_by_label("Name of the job")).to_have_value("logo")
+    expect(page.get_by_label("Name of the job")).to_have_value("Logo")
     expect(page.locator(".told")).to_have_text(likeness_in_words(ESTIMATE_EXAMPLE["seen_db"]))
 
 

@@ -86,7 +86,6 @@ def of_a_new_job_with_everything(opened: Opened) -> Page:
     page = of_a_new_job(opened)
     unfold(page)
     page.get_by_role("radio", name=re.compile("^Lamp")).check()
-    page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
     for label, value in (("Width", "abc"), ("Height", "two")):
         page.get_by_label(label, exact=True).fill(value)

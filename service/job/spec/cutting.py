@@ -218,7 +218,7 @@ class StockSpec(Section):
     clamps        : their places, for the check; the setup sheet shows where clamps may stand
     """
 
-    thickness_mm: Annotated[float, Field(ge=0.5, le=500), shown("Thickness")] = 40.0
+    thickness_mm: Annotated[float, Field(ge=0.5, le=500), shown("Thickness of the block", card="main")] = 40.0
     # The default keeps a ring that can be clamped beside the 6 mm that a 3 mm ball clears.
     margin_mm: Annotated[float, Field(ge=0, le=200), none_or_from(0.01), shown("Margin around")] = 14.0
     skim_mm: Annotated[float, Field(ge=0.001, le=10), shown("Skim off the top")] = 0.1

@@ -27,7 +27,7 @@ from service.job.spec.section import Section, none_or_from, shown, unknown_name
 NONE, BEST = "none", "best"
 _PROCESSES = {
     NONE: "no: as the mill leaves it",
-    BEST: "yes, the one that shows most",
+    BEST: "yes, as shows most",
     **{process.name: process.offered for process in built_in_processes().values() if process.offered},
 }
 
@@ -50,7 +50,7 @@ class FinishSpec(Section):
             "Finished by hand",
             "An hour or two takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet.",
             choices=_PROCESSES,
-            card="mill",
+            card="main",
             wide=True,
         ),
     ] = NONE

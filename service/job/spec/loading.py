@@ -34,6 +34,12 @@ from service.job.spec.resolve import (
 )
 
 RECOMMENDED_MARGIN_MM = 20.0  # a ring that can be clamped beside the 12 mm that a 6 mm ball clears
+# What commands and page begin with: the best plan for the mill, finished by hand.
+DEFAULT_JOB = {
+    "preset": "recommended",
+    "finish": {"process": BEST},
+    "stock": {"margin_mm": RECOMMENDED_MARGIN_MM},
+}
 _INDEX = re.compile(r"\d{1,4}")
 Json = dict[str, Any]
 Place = tuple[str | int, ...]
@@ -61,8 +67,8 @@ def resolve_job(
 
 
 def default_layer(*, file: Path | None, preset: str | None, overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the lowest layer of a command line's spec: if it neither names passes nor a file, the best plan for the
-    mill, finished by hand; otherwise nothing.
+    """Return the lowest layer of a command line's spec: DEFAULT_JOB if it neither names passes nor a file, without its
+    finish if that is named; otherwise nothing.
 
     Measured for the mills in `machines/profiles`, `camera`, 100 mm: docs/passes.md.
     """
@@ -70,7 +76,7 @@ def default_layer(*, file: Path | None, preset: str | None, overrides: Sequence[
     sections = {key.partition(".")[0] for key in keys}
     if file is not None or preset is not None or sections & {"preset", "passes"}:
         return {}
-    return {"preset": "recommended", **({} if "finish" in sections else {"finish": {"process": BEST}})}
+    return {key: value for key, value in copy.deepcopy(DEFAULT_JOB).items() if key == "preset" or key not in sections}
 
 
 def override_machine(name: str | None) -> list[str]:

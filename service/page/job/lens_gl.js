@@ -1,4 +1,4 @@
-/** The lens as a body of acrylic, drawn by WebGL2. No events, no clock: what it looks like from one direction. */
+/** The lens as a body of clear acrylic, drawn by WebGL2. No events, no clock: what it looks like from one direction. */
 import { programOf, release } from "./gl.js";
 import { extremes, triangles, vertices, walls } from "./surface.js";
 import { wallCorners, wallPicture } from "./wall_gl.js";
@@ -14,21 +14,26 @@ void main() {
   gl_Position = u_view * vec4(u_upright ? vec3(-v_point.x, v_point.z, v_point.y) : v_point, 1.0);
 }`;
 
-const GLASS = 0.35; // share of the light that the block absorbs on the way to the eye
-
+/** Clear glass, as light added to a dark room: what Fresnel reflects of a window and a floor lamp, the lamp's glint, and the
+ * light of the room that the surface bends towards the eye. Nothing is hidden behind it. */
 const FRAGMENT = `#version 300 es
 precision highp float;
-uniform vec3 u_eye; uniform bool u_wall; uniform float u_opaque;
+uniform vec3 u_eye; uniform bool u_wall;
 in vec3 v_point; in vec2 v_slope; in float v_bulge; out vec4 colour;
+vec3 room(vec3 way) { // a dark room: a window, a floor lamp, a pale floor
+  float window = smoothstep(0.25, 0.55, dot(way, normalize(vec3(-0.6, -0.35, 0.72))));
+  float lamp = smoothstep(0.80, 0.97, dot(way, normalize(vec3(0.8, 0.45, 0.4))));
+  return vec3(0.020, 0.026, 0.034) + window * vec3(0.62, 0.76, 0.92) + lamp * vec3(1.0, 0.82, 0.52) + max(-way.z, 0.0) * vec3(0.05, 0.055, 0.06);
+}
 void main() {
   vec3 normal = u_wall ? normalize(cross(dFdx(v_point), dFdy(v_point))) : normalize(vec3(-v_slope, 1.0));
   vec3 to_eye = normalize(u_eye - v_point);
-  vec3 lamp = normalize(vec3(-0.5, -0.35, 0.8)), fill = normalize(vec3(0.8, 0.5, 0.3));
-  vec3 base = u_wall ? vec3(0.30, 0.44, 0.55) : mix(vec3(0.25, 0.45, 0.62), vec3(0.78, 0.90, 0.96), v_bulge);
-  float lit = 0.30 + 0.62 * max(dot(normal, lamp), 0.0) + 0.16 * max(dot(normal, fill), 0.0);
-  float shine = u_wall ? 0.0 : pow(max(dot(reflect(-lamp, normal), to_eye), 0.0), 40.0);
-  float rim = pow(1.0 - abs(dot(normal, to_eye)), 3.0);
-  colour = vec4((base * lit + 0.45 * shine + 0.12 * rim) * u_opaque, u_opaque);
+  if (dot(normal, to_eye) < 0.0) normal = -normal;
+  float facing = dot(normal, to_eye), fresnel = 0.04 + 0.96 * pow(1.0 - facing, 5.0);
+  vec3 through = room(refract(-to_eye, normal, 1.0 / 1.49)) * vec3(0.80, 0.93, 0.97);
+  float edge = u_wall ? 0.07 + 0.30 * pow(1.0 - facing, 2.0) : 0.05 + 0.22 * abs(2.0 * v_bulge - 1.0);
+  vec3 light = fresnel * room(reflect(-to_eye, normal)) * 1.4 + 0.13 * through + edge * vec3(0.34, 0.52, 0.62);
+  colour = vec4(light, clamp(max(light.r, max(light.g, light.b)), 0.0, 1.0));
 }`;
 
 /**
@@ -50,7 +55,7 @@ export function lensPicture(canvas, grid) {
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
   const at = (name) => gl.getUniformLocation(program, name);
   const [view, eye, stretch, wall] = ["u_view", "u_eye", "u_stretch", "u_wall"].map(at);
-  const [middle, upright, opaque] = ["u_middle", "u_upright", "u_opaque"].map(at);
+  const [middle, upright] = ["u_middle", "u_upright"].map(at);
   let scene = null;
   gl.enable(gl.DEPTH_TEST);
 
@@ -75,18 +80,16 @@ export function lensPicture(canvas, grid) {
     gl.uniform1f(stretch, shown ? 1 : look.stretch);
     gl.uniform1f(middle, shown?.middle ?? (low + high) / 2);
     gl.uniform1i(upright, shown ? 1 : 0);
-    gl.uniform1f(opaque, 1);
+    gl.enable(gl.BLEND); // each side of the block adds its light to what is behind it
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthMask(false);
+    gl.bindVertexArray(sides);
+    gl.uniform1i(wall, 1);
+    gl.drawArrays(gl.TRIANGLES, 0, (block.length + back.length) / 3);
     gl.bindVertexArray(surface);
     gl.uniform1i(wall, 0);
     gl.drawElements(gl.TRIANGLES, corners.length, gl.UNSIGNED_INT, 0);
-    gl.bindVertexArray(sides);
-    gl.uniform1i(wall, 1);
-    if (shown) {
-      gl.enable(gl.BLEND);
-      gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-      gl.uniform1f(opaque, GLASS);
-    }
-    gl.drawArrays(gl.TRIANGLES, 0, (block.length + (shown ? back.length : 0)) / 3);
+    gl.depthMask(true);
     gl.disable(gl.BLEND);
   }
 

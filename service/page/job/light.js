@@ -63,7 +63,7 @@ export function lightPart() {
   function begin() {
     if (!lens) return;
     picture?.forget();
-    picture = lightPicture(canvas, lens, { pixels: Number(fine.value), margin: 1.15 });
+    picture = lightPicture(canvas, lens, { pixels: Number(fine.value), margin: 1.05 });
     live.hidden = !picture;
     still.hidden = Boolean(picture);
     change();

@@ -98,7 +98,12 @@ out vec4 colour;
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   if (u_turned) at.x = textureSize(u_light, 0).x - 1 - at.x;
-  float light = clamp(texelFetch(u_light, at, 0).r / u_white, 0.0, 1.0);
+  float sum = 0.0; // of what triangles smaller than a pixel left beside each other, as specks
+  for (int k = 0; k < 9; k++) {
+    ivec2 off = ivec2(k % 3, k / 3) - 1;
+    sum += float((2 - abs(off.x)) * (2 - abs(off.y))) / 16.0 * texelFetch(u_light, clamp(at + off, ivec2(0), textureSize(u_light, 0) - 1), 0).r;
+  }
+  float light = clamp(sum / u_white, 0.0, 1.0);
   colour = vec4(vec3(light <= 0.0031308 ? 12.92 * light : 1.055 * pow(light, 1.0 / 2.4) - 0.055), 1.0);
 }`;
 

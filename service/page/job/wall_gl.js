@@ -15,7 +15,8 @@ precision highp float;
 uniform sampler2D u_picture; uniform bool u_beam;
 in vec2 v_place; out vec4 colour;
 void main() {
-  colour = u_beam ? vec4(vec3(1.0, 0.85, 0.45) * 0.16, 0.16) : vec4(texture(u_picture, v_place).rgb, 1.0);
+  float left = v_place.x; // of the beam's light, which thins out on its way
+  colour = u_beam ? vec4(vec3(1.0, 0.93, 0.78) * 0.11 * left, 0.0) : vec4(texture(u_picture, v_place).rgb * vec3(1.0, 0.97, 0.90), 1.0);
 }`;
 
 const SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]; // lower left corner first, anticlockwise as seen along -Z
@@ -42,7 +43,7 @@ export function wallPicture(gl, image, corners, lens, viewedFrom) {
   const square = [0, 1, 2, 0, 2, 3].flatMap((k) => [...corners[k], viewedFrom === "lens" ? 1 - SQUARE[k][0] : SQUARE[k][0], 1 - SQUARE[k][1]]);
   const sides = SQUARE.flatMap((_, k) => {
     const next = (k + 1) % 4, ring = [lens[k], lens[next], corners[next], lens[k], corners[next], corners[k]];
-    return ring.flatMap((point) => [...point, 0, 0]);
+    return ring.flatMap((point) => [...point, lens.includes(point) ? 1 : 0.25, 0]);
   });
   const made = gl.createVertexArray();
   gl.bindVertexArray(made);

@@ -9,8 +9,7 @@ import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
 import { gallery } from "../new/gallery.js";
-import { jobCard } from "./card.js";
-import { thumbnails } from "./thumbnails.js";
+import { jobCard, thumbnails } from "./card.js";
 
 const FILTERS = [
   ["all", t("All"), [], ""],

@@ -8,6 +8,7 @@ import { eyeWords } from "../job/eye_words.js";
 import { capital, figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
 import { SPEC } from "./fields.js";
 import { valueOf } from "./screen.js";
+import { digest } from "./submit.js";
 
 const CALM_MS = 250;
 const EXACT_CALM_MS = 1500;
@@ -22,7 +23,7 @@ const SLOW_MS = 4000;
 const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
- * {ask(), stop(), settled}. make(): the form to send, null if there is nothing to ask yet. onState({kind, ...}): "none"
+ * {ask(), stop(), forget(), settled}. What has been worked out exactly is not asked again, until `forget`. make(): the form to send, null if there is nothing to ask yet. onState({kind, ...}): "none"
  * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`first`: a first look, an exact answer
  * follows where nothing is asked meanwhile; `after`: the first look that it replaces), "problems" with `problems`,
  * "fault" with `words`, "absent" no such service. settled: an estimate is known of what was asked last. A first look
@@ -33,6 +34,7 @@ export function estimator({ make, onState }) {
   let asking = new AbortController();
   let absent = false;
   let settled = false;
+  const answers = new Map(); // by spec and picture: [first look, exact]
 
   function ask() {
     stop();
@@ -53,13 +55,16 @@ export function estimator({ make, onState }) {
       const form = await make();
       if (signal.aborted) return;
       if (!form) return onState({ kind: "none" });
+      const key = form.get("spec") + (await digest(form.get("image")));
+      if (signal.aborted) return;
+      if (answers.has(key)) return showKnown(...answers.get(key));
       onState({ kind: "busy" });
       slow = setTimeout(() => signal.aborted || onState({ kind: "busy", slow: true }), SLOW_MS);
       const estimate = await api.upload("/v1/estimates", form, { headers: HEADERS, signal, quiet: true });
       if (signal.aborted) return;
       settled = true;
       onState({ kind: "known", estimate, first: !estimate.exact });
-      if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate), EXACT_CALM_MS);
+      if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate, key), EXACT_CALM_MS);
     } catch (error) {
       if (signal.aborted) return;
       onState(describeError(error));
@@ -69,10 +74,17 @@ export function estimator({ make, onState }) {
     }
   }
 
-  async function runExactly(signal, form, coarse) {
+  function showKnown(coarse, exact) {
+    settled = true;
+    onState({ kind: "known", estimate: coarse, first: true });
+    onState({ kind: "known", estimate: exact, after: coarse });
+  }
+
+  async function runExactly(signal, form, coarse, key) {
     let estimate = coarse;
     try {
       estimate = await api.upload("/v1/estimates?exactly=true", form, { headers: HEADERS, signal, quiet: true });
+      answers.set(key, [coarse, estimate]);
     } catch {
       // only the first look is available
     }
@@ -89,6 +101,7 @@ export function estimator({ make, onState }) {
   return {
     ask,
     stop,
+    forget: () => answers.clear(),
     get settled() {
       return settled;
     },

@@ -18,6 +18,9 @@ const YES_NO = [
   { const: false, title: t("no") },
 ];
 
+/** The job that page and commands begin with. */
+export const START = SCHEMA.default;
+
 /** All but those of the passes. */
 export const SPEC = [...rowsOf(SCHEMA)];
 

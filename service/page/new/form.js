@@ -3,7 +3,7 @@
 import { freshId, h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
-import { EXPERT, LENS, LIGHT, MAIN, MILL, PICTURE } from "./fields.js";
+import { EXPERT, LENS, LIGHT, MAIN, MILL, PICTURE, START } from "./fields.js";
 import { withProfiles } from "./machines.js";
 import { passes } from "./passes.js";
 import { row } from "./row.js";
@@ -13,7 +13,7 @@ const OTHERS = t("Other values, as JSON");
 const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 
 /**
- * {main, lens, light, mill, picture, expert: elements; isUsual(group), read(), show(spec), blame(problems)}.
+ * {main, picture: elements; settings: [[title, element]] of all others; isUsual(groups), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
  * as the server describes them.
  */
@@ -22,14 +22,14 @@ export function specForm({ profiles, onChange, planned }) {
     reveal();
     onChange();
   };
-  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: () => (keepShape(field.key), changed()) }));
+  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: () => (keepShape(field.key), keepFinish(field.key), changed()) }));
   const groups = { main: make(MAIN), lens: make(LENS), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
   const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
   const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
   const milling = passes({ onChange: changed, known: planned });
   const rest = otherValues(changed);
   const [width, height] = ["width", "height"].map((side) => rows.find(({ key }) => key === `optics.${side}_mm`));
-  const shape = { ratio: 1, byHand: false };
+  const shape = { ratio: 1, byHand: false, finish: START.finish.process }; // finish: as the way of planning has it
 
   /** The height follows the width as long as nobody has set it. */
   function keepShape(changedKey) {
@@ -38,6 +38,14 @@ export function specForm({ profiles, onChange, planned }) {
     if (changedKey !== width.key || !(wide > 0) || shape.byHand) return;
     height.show(+(wide * shape.ratio).toFixed(3));
     height.blame("");
+  }
+
+  /** Only the planner can choose a finish. */
+  function keepFinish(changedKey) {
+    const [preset, finish] = ["preset", "finish.process"].map((key) => rows.find((one) => one.key === key));
+    if (changedKey !== preset.key || (finish.read() ?? "none") !== shape.finish) return;
+    shape.finish = preset.read() === START.preset ? START.finish.process : "none";
+    finish.show(shape.finish);
   }
 
   /** Show a row only while it has a meaning, or grey it if it is a main choice; give a start value to a row that appears empty and needs one. */
@@ -61,7 +69,7 @@ export function specForm({ profiles, onChange, planned }) {
       for (const one of asked) {
         try {
           const value = one.read();
-          if (value !== undefined && !same(value, one.field.usual)) spec = put(spec, one.key, value);
+          if (value !== undefined && (!same(value, one.field.usual) || valueAt(START, one.key) !== undefined)) spec = put(spec, one.key, value);
         } catch (error) {
           faults.push({ row: one, words: error.message });
         }
@@ -108,9 +116,9 @@ export function specForm({ profiles, onChange, planned }) {
   }
 
   /** Whether all rows of "lens", "light"... are as usual. */
-  function isUsual(group) {
+  function isUsual(...asked) {
     const { spec } = read();
-    return groups[group].every((one) => valueAt(spec, one.key) === undefined);
+    return asked.every((group) => groups[group].every((one) => valueAt(spec, one.key) === undefined));
   }
 
   const fields = (made) =>
@@ -119,21 +127,19 @@ export function specForm({ profiles, onChange, planned }) {
       { class: "fields" },
       made.map((one) => one.element),
     );
-  const expert = [
-    h("h3", {}, t("Passes")),
-    milling.element,
-    more.map(([title, made]) => [h("h3", {}, title), fields(made)]),
-    h("h3", {}, t("Everything else")),
-    rest.element,
+  const settings = [
+    [t("Lens"), fields(groups.lens)],
+    [t("Light"), fields(groups.light)],
+    [t("Milling"), fields(groups.mill)],
+    [t("Passes"), milling.element],
+    ...more.map(([title, made]) => [title, fields(made)]),
+    [t("Everything else"), rest.element],
   ];
   reveal();
   return {
     main: fields(groups.main),
-    lens: fields(groups.lens),
-    light: fields(groups.light),
-    mill: fields(groups.mill),
     picture: fields(groups.picture),
-    expert,
+    settings,
     isUsual,
     read,
     show,
@@ -158,6 +164,7 @@ function compareDown(one, other) {
 
 /** Focus on a row and unfold everything around it. */
 export function focusRow(row) {
+  for (let part = row.element; part; part = part.parentElement) part.classList.remove("unfound");
   for (let fold = row.element.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
   row.focus();
 }

@@ -12,7 +12,7 @@ const PICTURES = [["portrait.jpg", t("Portrait")], ["camera.jpg", t("Camera")], 
 export function gallery(onFile) {
   const one = ([name, words]) => {
     const picture = h("img", { src: at(`/page/new/gallery/${name}`), alt: "", width: 88, height: 88 });
-    return h("button", { type: "button", onclick: () => take(picture.src, name, onFile) }, picture, words);
+    return h("button", { type: "button", onclick: () => take(picture.src, words + name.slice(name.lastIndexOf(".")), onFile) }, picture, words);
   };
   return h("div", { class: "gallery", role: "group", "aria-label": t("Examples") }, h("p", {}, t("Or try one of these")), PICTURES.map(one));
 }

@@ -21,7 +21,7 @@ export function row(field, { onChange, key = field.key }) {
   const hint = field.hint && h("small", { id: ids.hint }, field.hint);
   const element = h(
     "div",
-    { class: input.group || field.wide ? "field wide" : "field" },
+    { class: input.group || field.wide ? "field wide" : "field", dataset: { key } },
     labelled(field, input, ids),
     hint,
     fault,

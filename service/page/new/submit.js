@@ -58,7 +58,7 @@ function waitForServer() {
 }
 
 /** Enough to tell two pictures apart; not for safety. crypto.subtle is there in secure contexts only. */
-async function digest(blob) {
+export async function digest(blob) {
   const bytes = new Uint8Array(await blob.arrayBuffer());
   let sum = 0x811c9dc5;
   for (let at = 0; at < bytes.length; at += 1) sum = Math.imul(sum ^ bytes[at], 0x01000193);

@@ -11,17 +11,19 @@ import { couponPart } from "./coupon.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { focusRow, specForm } from "./form.js";
-import { usualOf } from "./fields.js";
+import { START, usualOf } from "./fields.js";
 import { improvements, withChange } from "./improve.js";
 import { firstProfile } from "./machines.js";
 import { FIRST } from "./passes.js";
 import { pictureSide } from "./picture_side.js";
 import { priorityRow } from "./priority.js";
-import { valueAt } from "./spec.js";
+import { put, valueAt } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
 
 const MACHINE_USUAL = usualOf("machine.profile");
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
+const OWN = "causticmill-own"; // of this browser
+const OWN_KEYS = ["machine.profile", "stock.thickness_mm", "stock.material", "finish.process", "optics.light", "optics.throw_mm"];
 const MAKE = t("Make the lens");
 const NO_PICTURE = t("Choose a picture first.");
 const CANNOT = t("Such a lens cannot be made.");
@@ -33,7 +35,7 @@ export default async function view(root, params, app) {
   const start = await beginning(params);
   app.title(t("New job"));
   let page = null;
-  const put = (beginWith) => {
+  const begin = (beginWith) => {
     page = newJob(profiles, app, withMills);
     const title = h("h1", {}, t("New job"));
     const again = h("button", { type: "button", class: "quiet", onclick: anew }, t("Start over"));
@@ -44,20 +46,20 @@ export default async function view(root, params, app) {
   function anew() {
     const before = page.draft();
     page.stop();
-    put({});
-    toast(t("Everything is as usual again."), { action: { words: t("Undo"), run: () => (page.stop(), put(before)) } });
+    begin({});
+    toast(t("Everything is as usual again."), { action: { words: t("Undo"), run: () => (page.stop(), begin(before)) } });
   }
   /** The mills of the shop have changed; name: the one to select, null for the usual one. */
   function withMills(found, name) {
     const before = page.draft();
     page.stop();
     profiles = found;
-    put({ ...before, spec: withChange(before.spec, { "machine.profile": name ?? undefined }) });
+    begin({ ...before, spec: withChange(before.spec, { "machine.profile": name ?? undefined }) });
     toast(name ? t`Kept: ${name}.` : t("Taken away."));
   }
   const hide = () => page.keep();
   addEventListener("pagehide", hide);
-  await put(start);
+  await begin(start);
   return { leave: () => (removeEventListener("pagehide", hide), page.leave()) };
 }
 
@@ -68,6 +70,35 @@ async function beginning(params) {
   if (params.from && !isReload) return { ...(await (await import("./source.js")).sourceOf(params.from, params.plan)), forMore: params.show === "more" };
   const file = take();
   return file ? { spec: draft?.spec, file } : (draft ?? {});
+}
+
+/** The usual job, for what the person had in the last one: mill, block, finish, lamp, wall. */
+function startSpec(profiles) {
+  const own = JSON.parse(localStorage.getItem(OWN) ?? "{}"), isKnown = profiles.some(({ name }) => name === own["machine.profile"]);
+  const spec = structuredClone({ ...START, machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
+  for (const [key, value] of Object.entries(own)) if (isKnown || key !== "machine.profile") put(spec, key, value);
+  return spec;
+}
+
+/** Keep them in this browser; of a job with passes of its own only what does not depend on the way of planning. */
+function keepOwn(spec) {
+  const keys = OWN_KEYS.filter((key) => (key !== "finish.process" || spec.preset === START.preset) && !valueAt(spec, `${key}.profile`));
+  localStorage.setItem(OWN, JSON.stringify(Object.fromEntries(keys.map((key) => [key, valueAt(spec, key)]))));
+}
+
+/** All keys under their titles, and a field that leaves only those whose words or key hold what is typed. */
+function allSettings(settings) {
+  const parts = settings.map(([title, element]) => h("section", {}, h("h3", {}, title), element));
+  const find = () => {
+    const wanted = search.value.trim().toLowerCase(), lacks = (one) => !`${one.dataset.key ?? ""} ${one.textContent}`.toLowerCase().includes(wanted);
+    for (const part of parts) {
+      const rows = [...part.querySelectorAll(".fields > .field")];
+      for (const one of rows) one.classList.toggle("unfound", lacks(one));
+      part.classList.toggle("unfound", rows.length ? rows.every(lacks) : lacks(part));
+    }
+  };
+  const search = h("input", { type: "search", placeholder: t("Search"), "aria-label": t("Search all settings"), oninput: find });
+  return h("div", { class: "stack expert" }, search, parts);
 }
 
 async function knownProfiles() {
@@ -101,15 +132,13 @@ function newJob(profiles, app, withMills) {
   const sending = sender({ onWait: foot.wait });
 
   const fold = (title, rows) => h("details", { class: "card fold", "aria-label": title }, h("summary", {}, title), rows);
-  const folds = { picture: fold(t("Picture"), side.tools), lens: fold(t("Lens"), form.lens), light: fold(t("Light"), form.light), mill: fold(t("Milling"), form.mill) };
-  const expert = h("div", { class: "stack expert" }, form.expert, priority.element);
-  const settings = [
-    Object.values(folds),
-    lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: changed })),
+  const pictureFold = fold(t("Picture"), side.tools), all = fold(t("All settings"), allSettings([...form.settings, [t("Queue"), priority.element]]));
+  const shop = [
+    lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: () => (asks.forget(), changed()) })),
     lateCard(t("Your mills"), async () => (await import("./own_mills.js")).ownMills({ profiles, onChanged: withMills })),
     coupon.element,
-    h("details", { class: "card" }, h("summary", {}, t("Expert: passes, optics, stock, machine")), expert),
   ];
+  const settings = [pictureFold, h("div", { class: "grid shop" }, shop), all];
   const element = h(
     "div",
     { class: "new-job", onkeydown: leaveField },
@@ -136,7 +165,7 @@ function newJob(profiles, app, withMills) {
   }
 
   async function begin(/** @type {any} */ { spec, forMore, ...start }) {
-    showSpec(spec ?? { preset: "recommended", machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
+    showSpec(spec ?? startSpec(profiles));
     card.show({ kind: "none" });
     ready();
     await side.begin(start);
@@ -146,7 +175,8 @@ function newJob(profiles, app, withMills) {
 
   function showSpec(spec) {
     form.show(spec);
-    for (const [group, one] of Object.entries(folds)) one.open ||= !form.isUsual(group);
+    pictureFold.open ||= !form.isUsual("picture");
+    all.open ||= !form.isUsual("lens", "light", "mill");
   }
 
   async function estimateForm(change = {}) {
@@ -201,6 +231,7 @@ function newJob(profiles, app, withMills) {
     try {
       const job = await sending.send(await side.sent(), spec, priority.read());
       now.sent = true;
+      keepOwn(spec);
       if (asks.settled && now.estimate.exact) keepPrediction(job.id, now.estimate.seen_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {

@@ -34,10 +34,9 @@ def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focu
     expect(height).to_have_accessible_description(
         "-3 is not allowed; allowed: a number from 0.5 to 2000 mm. Use 0.5 mm"
     )
-    page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
     page.get_by_label("Pitch").first.fill("9")
-    page.get_by_text("Expert:").click()
+    page.get_by_text("All settings").click()
     fill(page, Height="30")
     expect(bar.locator(".why")).to_have_text("Such a lens cannot be made. Look at:Pass 1")
     bar.get_by_role("button", name="Pass 1").click()
@@ -60,7 +59,6 @@ def test_pressed_twice_and_with_the_answer_lost_it_makes_one_job(opened: Opened,
     page.route("**/v1/jobs", lose_the_first)
     fill(page, Width="10", Height="10")
     page.get_by_label("Draft").check()
-    page.get_by_text("Expert:").click()
     fill(page, Pixels_across="16")
     make_it(page).dblclick()
     expect(page).to_have_url(re.compile("#/jobs/"))

@@ -71,7 +71,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     page.get_by_label("Width", exact=True).fill("10")
     page.get_by_label("Height", exact=True).fill("10")
     page.get_by_role("radio", name="Draft").check()
-    page.get_by_text("Expert:").click()
+    page.get_by_text("All settings").click()
     page.get_by_label("Pixels across").fill("64")
     page.get_by_label("Set every pass by hand").check()
     page.get_by_label("Pitch").last.fill("0.25")

@@ -15,6 +15,7 @@ from fastapi import APIRouter, Request, Response
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.job.report.pictures import PICTURES
+from service.job.spec.loading import DEFAULT_JOB
 from service.job.spec.model import JobSpec
 from service.page.files import INDEX, PageFile, PageFiles
 from service.server.api.routes.jobs import matches
@@ -37,7 +38,7 @@ _HEADERS = {
 }
 
 MADE: dict[str, tuple[str, Callable[[], object]]] = {
-    "new/spec_schema.js": ("SCHEMA", JobSpec.model_json_schema),
+    "new/spec_schema.js": ("SCHEMA", lambda: {**JobSpec.model_json_schema(), "default": DEFAULT_JOB}),
     "job/report_pictures.js": ("PICTURES", lambda: [asdict(picture) for picture in PICTURES]),
 }
 """Modules of what the page would else have to list itself."""
