@@ -24,7 +24,7 @@ from service.job.spec.loading import load_stored_spec
 SIDE, FRAMES, QUALITY = 416, 26, 36
 NEAREST = 0.25  # of the throw: where the wall stands first
 WHITE = 3.0  # irradiance that is drawn white, where 1 is the mean
-MS, LAST_MS = 85, 3_600_000  # AVIF begins again at its end
+FIRST_MS, MS, LAST_MS = 700, 130, 3_600_000  # AVIF begins again at its end
 
 
 def main(job: Path, folder: Path) -> None:
@@ -38,7 +38,7 @@ def main(job: Path, folder: Path) -> None:
         shown = flip_between_picture_and_work_frame(light, spec.optics.viewed_from)
         seen = linear_to_srgb(np.clip(shown / WHITE, 0.0, 1.0))
         frames.append(Image.fromarray(np.rint(255 * seen).astype(np.uint8)))
-    times = [MS] * (FRAMES - 1) + [LAST_MS]
+    times = [FIRST_MS, *[MS] * (FRAMES - 2), LAST_MS]
     frames[0].save(
         folder / "focus.avif", save_all=True, append_images=frames[1:], duration=times, quality=QUALITY, speed=2
     )

@@ -401,6 +401,14 @@ def test_a_dozen_inputs_are_asked_for_and_all_other_keys_are_found_by_word_key_a
     expect(new_job.get_by_label("Margin around", exact=True)).to_be_visible()
 
 
+def test_a_margin_is_the_one_that_is_shown(new_job: Page, sent: list[Any]) -> None:
+    """A field that was left out counted 14 or 20, by the way of planning."""
+    margin = new_job.get_by_label("Margin around", exact=True)
+    expect(margin).to_have_value("20")
+    margin.fill("14")
+    assert pressed(new_job, sent)[0]["stock"] == {"margin_mm": 14}
+
+
 TAKES_EVERY_JOB = """import("/page/lib/api.js").then(({ api }) => {
     const upload = api.upload;
     api.upload = async (path, ...how) => path === "/v1/jobs" ? { id: "x" } : upload(path, ...how);
