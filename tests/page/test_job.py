@@ -412,7 +412,7 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened) -> None:
 def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> None:
     job, files = canned()
     spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
-    report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5}}
+    report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5, "seen_db": 22.0}}
     other = like(job, 5, name="other.png", spec=spec, report=report)
     page = open_blank(opened, "job")
     answer(page, other, files)
@@ -420,8 +420,9 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")
     expect(rows).to_have_count(2)
     expect(rows.nth(1)).to_have_text(re.compile(r"Distance to the wall.*123 mm"))
-    better = page.get_by_role("row", name="On the wall, as milled").get_by_role("cell", name="better")
-    expect(better).to_have_text(re.compile("31.5 dB"))
+    for what, figure in (("On the wall, as milled", likeness_in_words(22.0)), ("Likeness (PSNR)", "31.5 dB")):
+        better = page.get_by_role("row", name=what).get_by_role("cell", name="better")
+        expect(better).to_have_text(re.compile(figure))
     expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()
 
 

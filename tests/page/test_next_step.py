@@ -372,7 +372,7 @@ def test_a_long_step_ends_before_the_travel_does_and_z_takes_none(opened: Opened
     for count, name in enumerate(("X plus", "X minus", "Z up"), 1):
         page.get_by_role("button", name=name).click()
         after(sent, count, page)
-        page.wait_for_timeout(1600)  # an order of which the log says nothing is given up
+        page.wait_for_timeout(4000)  # an order of which the log says nothing is given up
     assert [body["by_mm"] for _, body in sent] == [[58, 0, 0], [-100, 0, 0], [0, 0, 10]]
     told(page, "idle", operator="Ada", mill=at | {"machine_mm": [-1.0, -5.0, -40.0]})
     expect(page.locator(".readout .own").first).to_have_text("−1.000")

@@ -79,7 +79,10 @@ export class WaitingSteps {
   /** The step while it is under way, null after it. If it ended elsewhere, or nobody knows where, nothing follows it. */
   follow(step) {
     const { link } = this;
-    if (!step.taken || link.busy || whyNot(link) !== "") return step;
+    if (!step.taken || link.busy || whyNot(link) !== "") {
+      step.still_ms = null;
+      return step;
+    }
     const isKnown = link.commands === step.before + 1;
     step.still_ms ??= stopwatch();
     if (link.commands === step.before && step.still_ms() < LOGGED_MS) return step; // the log may come after the state
