@@ -37,7 +37,7 @@ def test_finished_heights_are_linear_between_two_touches_and_have_their_transpos
     before, after = finished.of(z), finished.of(z + change)
     gains = list(np.random.default_rng(seed).standard_normal((3, COUNT, COUNT)))
     forward = sum(float((gain * (b - a)).sum()) for gain, a, b in zip(gains, before, after, strict=True))
-    assert float((finished.transpose(gains) * change).sum()) == pytest.approx(forward, rel=1e-6)
+    assert float((finished.transpose(gains, [0.0] * 3) * change).sum()) == pytest.approx(forward, rel=1e-6)
 
 
 @pytest.mark.parametrize("height_mm", [0.01, 1.0])
@@ -73,11 +73,25 @@ def test_the_gradient_is_that_of_the_mean_error() -> None:
     bench = Bench.centre_on(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=60.0, refractive_index=1.49)
     error = MeanError(lens_of(z), np.ones((24, 24)), bench, outcomes_of(FELT), 2)
     error.touch(z)
+    z = 1.1 * z  # some places are pressed less than at the touch
     error.of(z)
     gradient, change = error.gradient(), gaussian_filter(np.random.default_rng(1).standard_normal(z.shape), 2.0)
     step = 1e-5
     slope = (error.of(z + step * change) - error.of(z - step * change)) / (2 * step)
     assert float((gradient * change).sum()) == pytest.approx(slope, rel=0.02)
+
+
+def test_a_crease_costs_as_soon_as_the_pad_presses_it_less() -> None:
+    """Of shallow hills, all of which the pad touches; deeper ones it leaves."""
+    z = hills(3, 0.01)
+    finished = FinishedHeights(lens_of(z), [FELT])
+    finished.touch(z)
+    costs = []
+    for times in (0.5, 1.0, 4.0, 40.0, 80.0):
+        finished.of(times * z)
+        costs += finished.unpressed()
+    assert costs[:2] == [0.0, 0.0]
+    assert costs == sorted(costs) and costs[-1] > costs[-2] > 0.0
 
 
 def test_the_same_work_for_longer_multiplies_the_exponent() -> None:
