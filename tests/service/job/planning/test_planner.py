@@ -288,7 +288,13 @@ def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each with values that a command takes, and with what an estimate of them says."""
-    small = ("image.pixels=64", "optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=150")
+    small = (
+        "image.pixels=64",
+        "optics.width_mm=20",
+        "optics.height_mm=20",
+        "optics.throw_mm=150",
+        "finish.process=none",
+    )
 
     def seen_db(*values: str) -> float:
         job = resolve_job(preset="recommended", overrides=(*small, *values))
