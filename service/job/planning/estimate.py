@@ -45,13 +45,12 @@ from service.job.picture.light_png import picture_png
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, describe_light
 from service.job.planning.finished_light import FinishedLight, blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import FinishDesigns, compute_passes, form_of, simplify
 from service.job.planning.planner import plan_for_picture
-from service.job.planning.predicted_light import PictureLight
+from service.job.planning.predicted_light import PictureLight, PredictedPicture, describe_light
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
 from service.job.spec.cutting import MIN_FLOOR_MM
@@ -72,6 +71,8 @@ from service.wording import ball, cutter
 
 WALL_PIXELS = 256
 """Along the longer side of the picture of the wall, at most."""
+MOST_PIXELS = 512
+"""Of the compared picture, at most: finer detail hardly affects recognition."""
 PIXELS = 96
 """Along the longer side of the picture from which the lens is made."""
 

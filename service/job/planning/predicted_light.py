@@ -28,7 +28,7 @@ from cam.planning.row_slopes import RowSlopes, chord_grain, row_grain
 from optics.bench import Bench
 from optics.foreseen import sharpen
 from optics.heightfield import Array
-from optics.metrics import CausticScore, score_caustic
+from optics.metrics import CausticScore, psnr_db, score_caustic, seen_db, smallest_detail_mm
 from optics.threads import thread_count
 from service.job.picture.resampling import resize
 from service.job.planning.waves import Waves, compute_lost_when_sharpened, yx_spreads
@@ -326,6 +326,31 @@ class PictureLight:
     def db_of_error(self, mean_square: float) -> float:
         """Return the PSNR for a mean square error before haze, which adds its own."""
         return float(10 * np.log10(self._peak**2 / max(mean_square + self._lost_by_haze, 1e-300)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedPicture:
+    """The predicted picture and its target: (ny, nx) irradiance, work frame. The figures are those of this light; the
+    smallest detail counts only the tool's marks.
+    """
+
+    light: Array
+    target: Array
+    psnr_db: float
+    seen_db: float
+    detail_mm: float
+
+
+def describe_light(light: PictureLight, marks: Marks) -> PredictedPicture:
+    """Return the picture that a plan's light predicts for its marks."""
+    seen = light.picture(marks)
+    return PredictedPicture(
+        light=seen,
+        target=light.target,
+        psnr_db=psnr_db(seen, light.target),
+        seen_db=seen_db(seen, light.target),
+        detail_mm=smallest_detail_mm(seen, light.target, light.pixel_mm[1]),
+    )
 
 
 def waves_of(picture: Array) -> Array:

@@ -29,10 +29,10 @@ from service.errors import FailedError, InputError
 from service.job import arrays
 from service.job.arrays import npz_bytes
 from service.job.files import HEIGHTFIELD, MAP, PLAN, write_bytes
-from service.job.planning.estimate_light import PredictedPicture, describe_light
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import Progress, plan_for_lens, plan_for_picture
+from service.job.planning.predicted_light import PredictedPicture, describe_light
 from service.job.planning.sentences import blur_warnings
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.resolve import ResolvedJob
