@@ -81,12 +81,12 @@ class FinishedHeights:
                 continue
             levelled = transform_back(waves * kept, z_mm.shape)
             if finish.depth_mm is not None:
-                off = (z_mm - levelled) / finish.depth_mm + 1.0
+                off = _divide_removal(z_mm, levelled, finish.depth_mm)
                 self._lacks[number] = np.minimum(off - self._least[number], 0.0)
             surfaces.append(levelled + left)
         return surfaces
 
-    def unpressed(self) -> list[float]:
+    def weigh_lacks(self) -> list[float]:
         """Return for each finish the cost of the vertices that the pad does not press at the last heights."""
         return [0.5 * _UNPRESSED * float(np.square(lack).sum()) for lack in self._lacks]
 
@@ -100,13 +100,13 @@ class FinishedHeights:
             levelled = level(z_mm, kept)
             self._left[number] = done.lens.z_mm - levelled
             if finish.depth_mm is not None:
-                self._least[number] = np.minimum((z_mm - levelled) / finish.depth_mm + 1.0, _LEAST_OFF)
+                self._least[number] = np.minimum(_divide_removal(z_mm, levelled, finish.depth_mm), _LEAST_OFF)
             if number == 0:
                 hangs = ~done.touched
         return hangs
 
     def transpose(self, gains: Sequence[Array], weights: Sequence[float]) -> Array:
-        """Return (ny, nx) gain by the heights, of the gain by the heights after each finish and of `unpressed`."""
+        """Return (ny, nx) gain by the heights, of the gain by the heights after each finish and of `weigh_lacks`."""
         by_heights, waves = np.zeros_like(self._nodes), np.zeros_like(self._nodes)
         each = zip(self._finishes, self._kept, self._lacks, gains, weights, strict=True)
         for finish, kept, lack, gain, weight in each:
@@ -119,6 +119,11 @@ class FinishedHeights:
         if self._is_unfinished:
             return by_heights
         return np.asarray(by_heights + self._nodes * transform_back(waves, waves.shape))
+
+
+def _divide_removal(z_mm: Array, levelled_mm: Array, depth_mm: float) -> Array:
+    """Return (ny, nx) what the linear law takes off, over its mean."""
+    return np.asarray((z_mm - levelled_mm) / depth_mm + 1.0)
 
 
 class MeanError:
@@ -154,7 +159,7 @@ class MeanError:
         self.misses = [
             tubes.picture(surface) - self.target for tubes, surface in zip(self.tubes, surfaces, strict=True)
         ]
-        each = zip(self.outcomes, self.misses, self._finished.unpressed(), strict=True)
+        each = zip(self.outcomes, self.misses, self._finished.weigh_lacks(), strict=True)
         return sum(one.weight * (0.5 * float((miss**2).sum()) + self._per_vertex * lack) for one, miss, lack in each)
 
     def gradient(self) -> Array:

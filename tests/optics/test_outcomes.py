@@ -89,7 +89,7 @@ def test_a_crease_costs_as_soon_as_the_pad_presses_it_less() -> None:
     costs = []
     for times in (0.5, 1.0, 4.0, 40.0, 80.0):
         finished.of(times * z)
-        costs += finished.unpressed()
+        costs += finished.weigh_lacks()
     assert costs[:2] == [0.0, 0.0]
     assert costs == sorted(costs) and costs[-1] > costs[-2] > 0.0
 

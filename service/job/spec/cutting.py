@@ -42,7 +42,7 @@ _PROFILE = Rules.of(MachineProfile)
 
 
 def _as_in_profile(key: str) -> Any:
-    """Return the limits of a figure that a profile and a spec may have alike."""
+    """Return the limits that a profile sets to this figure."""
     low, high = _PROFILE.limits(key)
     return Field(ge=low, le=high)
 

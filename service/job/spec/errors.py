@@ -64,7 +64,7 @@ def list_known_keys(place: Place) -> list[str]:
 
 
 def describe_table(place: Place) -> str:
-    """Return what the docstring of the table at a place says."""
+    """Return the docstring of the table at a place."""
     return str((_schema_at(place) or {}).get("description", ""))
 
 

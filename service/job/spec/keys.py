@@ -36,7 +36,7 @@ def _list_rows(place: Place) -> Iterator[KeyRow]:
             yield from _list_rows((*here, 0))
         else:
             key = join_place(tuple("N" if isinstance(step, int) else step for step in here))
-            yield KeyRow(key, str(describe_allowed(here)), _default_words(entry), _meaning(name, entry, place))
+            yield KeyRow(key, str(describe_allowed(here)), _default_words(entry), _describe_meaning(name, entry, place))
 
 
 def _default_words(entry: Mapping[str, Any]) -> str:
@@ -49,7 +49,7 @@ def _default_words(entry: Mapping[str, Any]) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _meaning(name: str, entry: Mapping[str, Any], place: Place) -> str:
+def _describe_meaning(name: str, entry: Mapping[str, Any], place: Place) -> str:
     """Return title and hint; for a key without a title of its own its line in the docstring of its table, else its
     name.
     """

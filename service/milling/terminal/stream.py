@@ -283,8 +283,8 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
 def _prepare_new_run(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Park a run, go around its outline if that is wanted, and return the function that starts it after the person has
-    confirmed that all is in order.
+    """Park a run and, if asked, go around its outline. Return the function that starts it once the person has confirmed
+    that all is in order.
     """
     run: RunReport = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
     if order.frame:
