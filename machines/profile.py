@@ -51,7 +51,7 @@ class UnknownProfileError(LookupError):
 
 
 class ProfileError(MachineError):
-    """A profile file that cannot be used: the message names file, key, value and what is allowed. key: "" if several."""
+    """A profile file that cannot be used: the message names file, key, value, what is allowed. key: "" if several."""
 
     def __init__(self, file: str, text: Phrase, *, key: str = "") -> None:
         super().__init__(Phrase("{file}: {text}", file=file, text=text))

@@ -24,7 +24,7 @@ class ServiceError(Exception):
 
 
 class InputError(ServiceError):
-    """A value that a person gave cannot be used. field: its name in a request to the API, if the value came with one."""
+    """A value that a person gave cannot be used. field: its name in a request to the API, "" if it has none."""
 
     exit_code = EXIT_INPUT
 
