@@ -101,7 +101,7 @@ lock: $(INSTALLED)
 	$(LOCK) --constraint requirements-dev.lock -o requirements.lock
 	$(LOCK) --extra docs --constraint requirements-dev.lock -o requirements-docs.lock
 	$(LOCK) --extra soak --constraint requirements-dev.lock -o requirements-soak.lock
-	$(LOCK) --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock -o docker/requirements.lock
+	$(LOCK) --extra postgres --extra s3 --extra roland --extra mqtt --constraint requirements-dev.lock -o docker/requirements.lock
 
 # The claims of the paper, with our pictures and figures beside them: docs/paper.md.
 paper: $(READY)
