@@ -34,6 +34,8 @@ ORDERS: dict[str, dict[str, Any]] = {
     "probe-corner": dict.fromkeys(
         ("depth_mm", "plate_mm", "wall_x_mm", "wall_y_mm", "cutter_radius_mm", "margin_mm"), 3
     ),
+    "go-to-zero": {"axes": "XY"},
+    "frame": {"program": "0" * 64},
     "zero": {},
     "override": {"what": "feed", "percent": 90},
     "check": {"on": True},
