@@ -61,8 +61,9 @@ Sanding takes most of them off, and with them the finest parts of the picture.""
             "--machine",
             "grbl",
         ),
-        """The best of the six: this picture has little fine detail to lose. If you may choose, choose one like
-it.""",
+        """The highest figure of the six: large shapes with soft light on them. What is dark beside a highlight goes
+first: the front of the cup and the spoon are lost. If you may choose a picture, choose one with large shapes and no
+deep shadows.""",
     ),
     Lens(
         "cat",
@@ -170,7 +171,7 @@ def draw(job: Path, file: Path) -> None:
 
 
 def measures(job: Path) -> dict[str, float]:
-    """Return hours of milling, minutes by hand, the likeness of three surfaces [dB], and the loss by a wall 1 % off [dB]."""
+    """Return hours of milling, minutes by hand, the likeness of three surfaces and the loss by a wall 1 % off [dB]."""
     report: dict[str, Any] = json.loads((job / "report.json").read_text())
     throw_mm = json.loads((job / "spec.json").read_text())["optics"]["throw_mm"]
     focus = [(row["offset_mm"], row["psnr_db"]) for row in report["optics"]["tolerances"]["focus"]]
