@@ -144,7 +144,7 @@ def test_the_site_has_every_page_of_docs_every_command_and_every_route(tmp_path:
 
 
 def test_likeness_is_stated_only_where_the_bench_measures_it() -> None:
-    """A page that states dB names the section of `make bench` that measures them. The others are written by programs."""
+    """A page that states dB names the section of `make bench` that measures them. Programs write the others."""
     written = {"paper.md", "how-good.md", "keys.md", "soak.md"}
     for name in (name for name in PAGES if name not in written):
         text = (TOP / "docs" / name).read_text(encoding="utf-8")
