@@ -15,6 +15,7 @@ from machines.driver import (
     BESIDE_MM,
     CORNER_PLATE_MM,
     CUTTER_RADIUS_MM,
+    HAND_RPM,
     JOG_FEED,
     JOG_MM,
     MARGIN_MM,
@@ -299,6 +300,22 @@ class OverrideBody(OrderBody):
         return Override(self.what, self.percent)
 
 
+class SpindleBody(OrderBody):
+    """By hand, outside programs. It goes off when control ends, and with each hold and abort."""
+
+    on: Annotated[bool, Field(strict=True)]
+    rpm: Annotated[float, _within(HAND_RPM, description="within the mill's own speeds; for `on`", examples=[12e3])] = (
+        0.0
+    )
+
+    def make_act(self) -> Callable[[Mill], None]:
+        if self.on is (self.rpm == 0.0):
+            raise Problem(
+                422, Phrase("rpm must be above 0 to switch it on, and is not given to switch it off"), field="rpm"
+            )
+        return lambda mill: mill.switch_spindle(self.rpm if self.on else None)
+
+
 class CheckBody(OrderBody):
     on: Annotated[bool, Field(strict=True, description="the controller reads programs and moves nothing")]
 
@@ -337,6 +354,7 @@ ORDERS: dict[str, type[OrderBody]] = {
     "probe-corner": ProbeCornerBody,
     "zero": ZeroBody,
     "override": OverrideBody,
+    "spindle": SpindleBody,
     "check": CheckBody,
     "block": BlockBody,
 }

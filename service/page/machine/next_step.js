@@ -14,6 +14,7 @@ const ZERO_XY = { label: t("X and Y = 0 here"), what: "zero", body: { axes: "XY"
 const ZERO_Z = { label: t("Z = 0 here"), what: "zero", body: { axes: "Z" } };
 const LOAD = { label: t("Load"), press: "load" };
 const START = { label: t("Start"), press: "start" };
+const OFF = { label: t("Spindle off"), what: "spindle", body: { on: false } };
 const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
@@ -101,6 +102,7 @@ function findSetupStep(link, load, { ticked, named }) {
   const foreign = findForeignAxes(machine, run, before);
   const place = findPlaceStep(link, foreign);
   if (place) return place;
+  if (ticked && machine.mill.spindle_on) return makeStep("spindle", t("switch the spindle off."), { act: OFF, bars: t("The spindle turns.") });
   if (ticked && !foreign.includes("Z")) return { ...(named ? makeStep("start", t("start the program."), { act: START }) : makeStep("tick", t("give your name, then start."), { go: "program" })), ...doubt };
   return findZeroStep(machine, run.setup ?? {}, foreign) ?? findOffStep(machine) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }

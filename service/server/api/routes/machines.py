@@ -139,6 +139,12 @@ _WITH_BODY = {
     ),
     "zero": ("Set the work zero", "From now on the tool stands at zero of these axes."),
     "override": ("Override feed, rapids or spindle", "At once, in the middle of a run too."),
+    "spindle": (
+        "Switch the spindle by hand",
+        "THE SPINDLE TURNS. Only while the mill is idle and no program is under way, within the mill's speeds. It\n"
+        "goes off when control is given back, taken over or lost, and with a hold or an abort. Until it is off no\n"
+        "program starts and nothing is probed.",
+    ),
     "check": ("Switch check mode", "In check mode ($C) the controller reads everything and moves nothing."),
     "block": ("Send one line of G-code", "THE MILL MAY MOVE."),
 }

@@ -245,7 +245,9 @@ class World:
         self.hang_in, self.hang_s = -1, 0.0  # accesses to the disk until it hangs; how long it does
         self.hung = 0
         self.acts: list[Act] = []
-        self._noted: dict[type, tuple[object, str]] = {}  # what was seen last, and whose; an override goes beside a stream
+        self._noted: dict[
+            type, tuple[object, str]
+        ] = {}  # what was seen last, and whose; an override goes beside a stream
         self.judged: list[str] = []
         self.loop = _SimulatedLoop(self)
         self.network = MessageNetwork(self.loop)
@@ -330,6 +332,7 @@ class World:
             open_journal=open_journal,
             pause=lambda seconds: self.sim.advance(self.sim.now_s + seconds),
             orders=self.gate,
+            spindle_rpm=self.profile.spindle_rpm,
         )
         mill.watch(self)
         self.mill, self.thread = mill, _OwnedThread(mill, self)
@@ -469,6 +472,8 @@ class World:
         if mill.status.state is not MillState.IDLE:
             mill.command(Reset() if mill.status.state is MillState.HELD else Unlock())
             self._until(lambda: mill.status.state is MillState.IDLE)
+        if mill._spindle.may_turn:
+            mill.switch_spindle(None)
         self.pass_s(0.5)
         if what in ("start", "resume run", "resume", "recover", "frame"):
             self.park()
