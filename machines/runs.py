@@ -101,6 +101,8 @@ class RunReport:
     """The report of a mill's owner on a run at one moment.
 
     words         : why it is in this state, for the operator; code, values: the same for programs ("": words are all)
+    lift_mm       : of a dry pass: the program so much higher, spindle off; it cuts nothing. None: the program as it is
+    lifted_from   : digest of the program that a dry pass is made from; "" of others
     travel_in_doubt : one of the warnings is that the program may not fit the travel
     executed_line : every line up to this one has certainly been cut
     time_s        : estimate for the whole program; time_left_s is scaled by how the run has kept to it, None = unknown
@@ -127,6 +129,8 @@ class RunReport:
     ended_s: float | None = None
     recoveries: int = 0
     warnings: tuple[str, ...] = field(default=())
+    lift_mm: float | None = None
+    lifted_from: str = ""
     travel_in_doubt: bool = False
 
     @property

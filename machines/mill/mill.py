@@ -140,10 +140,12 @@ class Mill:
         self.publish()
         return answer
 
-    def park(self, program: Preflight, path: Path, name: str) -> RunReport:
-        """Add a run that waits for its start. Nothing is sent."""
+    def park(
+        self, program: Preflight, path: Path, name: str, *, lift_mm: float | None = None, lifted_from: str = ""
+    ) -> RunReport:
+        """Add a run that waits for its start. Nothing is sent. lift_mm, lifted_from : as in `RunReport`"""
         self._require_open()
-        run = self._runs.park(program, path, name)
+        run = self._runs.park(program, path, name, lift_mm=lift_mm, lifted_from=lifted_from)
         self.publish()
         return run.view
 

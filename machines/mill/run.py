@@ -64,6 +64,11 @@ class Run:
         return self.state in LIVE
 
     @property
+    def cuts(self) -> bool:
+        """Whether it is a program as it is, and not a dry pass of one."""
+        return self.record.get("lift_mm") is None
+
+    @property
     def unattended(self) -> str:
         """LINK_LOST or OWNER_LOST while the mill's position still shows how far it went unattended; otherwise ""."""
         return str(self.record.get("adrift") or "")
@@ -218,5 +223,7 @@ def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunRepor
         ended_s=record.get("ended_s"),
         recoveries=int(record.get("recoveries") or 0),
         warnings=tuple(record.get("warnings", ())),
+        lift_mm=record.get("lift_mm"),
+        lifted_from=str(record.get("lifted_from") or ""),
         travel_in_doubt=bool(record.get("travel_in_doubt")),
     )

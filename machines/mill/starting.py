@@ -223,6 +223,8 @@ class RunStarter:
             run.take_back(before)
             raise
         self.control.note_start(run)
+        if not run.cuts:
+            return  # the zeros and the touch-off are still to come for the program itself
         self.context.link.setup.zeroed_anew = ""
         try:
             self.context.runs.note_touch_off()

@@ -38,6 +38,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
+from machines.gcode.lift import LIFT_MM
 from machines.mill.mill import Mill
 from machines.runs import RunState
 from phrases.phrase import Phrase
@@ -62,6 +63,12 @@ def _within(low_high: tuple[float, float], **more: Any) -> Any:
 
 
 _Mm = Annotated[float, _within(JOG_MM)]
+LiftMm = Annotated[
+    float | None,
+    _within(
+        LIFT_MM, description="a dry pass: the whole program so much higher, spindle and coolant off; it cuts nothing"
+    ),
+]
 
 
 class ControlBody(Body):
@@ -99,11 +106,14 @@ class FetchBody(Body):
 
 
 class ParkBody(Body):
-    """A run of a program that the agent has. key: the second request with the same one makes no second run."""
+    """A run of a program that the agent has. key: the second request with the same one makes no second run; lift_mm: a
+    dry pass of it, so much higher with the spindle off.
+    """
 
     program: Annotated[str, Field(max_length=500)]
     name: Annotated[str, Field(max_length=200)] = ""
     key: Annotated[str, Field(max_length=100)] = ""
+    lift_mm: LiftMm = None
 
 
 class ConfirmationBody(Body):

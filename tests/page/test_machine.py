@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from itertools import product
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -265,11 +266,39 @@ def test_a_run_says_since_when_until_what_time_and_how_much_of_its_whole_job_is_
     skipped = run | {"left_out": [{"name": "pass-1.nc"}], "time_left_s": None, "started_at": None}
     done = run | {"state": "finished", "program": {"name": "pass-3.nc"}, "time_left_s": None}
     other = run | {"program": {"name": "witness-marks.nc"}}
-    given = {"passes": passes, "runs": [run, late, skipped, done, other], "now": modules.evaluate(now)}
-    (here, late_, left_out, over, unknown) = modules.evaluate(TIMES, given)
+    dry = run | {"lift_mm": 20}
+    given = {"passes": passes, "runs": [run, late, skipped, done, other, dry], "now": modules.evaluate(now)}
+    (here, late_, left_out, over, unknown, in_air) = modules.evaluate(TIMES, given)
     assert re.fullmatch(r".+ since its start, ends about 23:30", here[0])
     assert here[1] == "Program 2 of 3. The whole job: 50 % cut, 2 h of milling left"
     assert re.search(r"ends about \w+.* 22:30", late_[0])
     assert left_out == ["", "Program 2 of 3. The whole job: 5 % cut, 3 h 48 min of milling left"]
     assert over[1] == "Program 3 of 3. The whole job: 100 % cut, 0 s of milling left"
-    assert unknown[1] == ""
+    assert unknown[1] == in_air[1] == ""  # a dry pass cuts nothing of its job
+
+
+def test_a_dry_pass_says_that_nothing_is_cut(opened: Opened) -> None:
+    page = with_control(opened, "parked", run={"lift_mm": 20.0})
+    card = page.locator(".running")
+    expect(card.locator(".dry")).to_have_text(
+        "Dry pass: the program runs 20 mm higher, with spindle and coolant off. Nothing is cut."
+    )
+    expect(card.locator(".checklist .go")).to_have_text("Start the dry pass of pass-2-finish.nc")
+    expect(card.locator(".checklist")).to_contain_text("a dry pass: the spindle stays off")
+    told(page, "finished", operator="Ada", run={"lift_mm": 20.0, "next": None})
+    expect(card.locator(".dry")).to_have_text(
+        "That was a dry pass, 20 mm higher: nothing was cut. Load the program again to cut it."
+    )
+    expect(card).not_to_contain_text("the lens is milled")
+    expect(page.locator(".step")).not_to_contain_text("milled")
+
+
+def test_a_program_is_loaded_as_it_is_or_as_a_dry_pass(opened: Opened) -> None:
+    page = with_control(opened, "idle", errors=("ERR_FAILED",))
+    sent: list[Any] = []
+    page.route("**/v1/machines/shop/runs", lambda route: (sent.append(route.request.post_data_json), route.abort()))
+    page.get_by_role("button", name="Load onto the mill").click()
+    page.get_by_text("Dry pass", exact=True).click()
+    page.get_by_role("button", name="Load as a dry pass").click()
+    page.wait_for_timeout(200)
+    assert [one.get("lift_mm") for one in sent] == [None, 20]

@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mark, shape } from "../lib/state.js";
+import { isCut, isDry, mark, shape } from "../lib/state.js";
 import { ball, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
@@ -43,9 +43,9 @@ export function runCard(link) {
   };
   const fill = (run) => {
     const parked = run.state === "parked";
-    list = parked ? checklist(run, { label: t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
+    list = parked ? checklist(run, { label: isDry(run) ? t`Start the dry pass of ${run.program.name}` : t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
     frame = parked ? frameButton(link, words) : null;
-    replace(more, notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
+    replace(more, dryNote(run), notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, isCut(run) && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
   };
   return {
     node,
@@ -67,7 +67,8 @@ export function runCard(link) {
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
       if (state.textContent !== word) replace(state, mark(kind, word));
-      write(title, `${programWords(run.program.name, run.job_name)}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
+      const program = programWords(run.program.name, run.job_name);
+      write(title, `${isDry(run) ? t`Dry pass of ${program}` : program}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
       progress.update(run, link.machine?.simulated);
       const stands = link.machine?.mill?.state === "idle";
       const rests = link.machine?.mill?.setup;
@@ -113,6 +114,14 @@ function meter() {
       write(whole, wholeJobWords(findWholeJob(passes, run)));
     },
   };
+}
+
+/** Plain words above everything else: this does not make a lens. */
+function dryNote(run) {
+  if (!isDry(run)) return null;
+  const higher = t`Dry pass: the program runs ${run.lift_mm} mm higher, with spindle and coolant off. Nothing is cut.`;
+  const over = t`That was a dry pass, ${run.lift_mm} mm higher: nothing was cut. Load the program again to cut it.`;
+  return h("p", { class: "notice warn dry" }, shape("warn"), h("span", {}, run.state === "finished" ? over : higher));
 }
 
 function notes(run, zeroed) {

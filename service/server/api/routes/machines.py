@@ -96,7 +96,9 @@ async def park(
     """
     key = idempotency_key(idempotency_key_header, principal)
     fleet = services_of(request).fleet
-    run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, context)
+    run, parked = await fleet.park(
+        machine, str(body.job), body.program, principal.name, key, context, lift_mm=body.lift_mm
+    )
     response.headers["Location"] = run.links["self"]
     if not parked:
         response.status_code = 202
