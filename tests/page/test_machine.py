@@ -12,11 +12,13 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
+from service.job.spec.finish_library import built_in_processes, instruct_finishing
 from tests.levels import mostly_thorough
+from tests.page import canned_job
 from tests.page.browser import Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
-from tests.page.machine_states import STATES, USED, machine_in, told, with_control
+from tests.page.machine_states import RUN, STATES, USED, machine_in, told, with_control
 from tests.page.shop import MILL
 
 SCREEN = f"#/machines/{MILL}"
@@ -302,3 +304,47 @@ def test_a_program_is_loaded_as_it_is_or_as_a_dry_pass(opened: Opened) -> None:
     page.get_by_role("button", name="Load as a dry pass").click()
     page.wait_for_timeout(200)
     assert [one.get("lift_mm") for one in sent] == [None, 20]
+
+
+CLOCKS = """async ({ clocks, now }) => {
+    const { workedSeconds } = await import("/page/job/work_clock.js");
+    return clocks.map((clock) => workedSeconds(clock, now));
+}"""
+
+
+def test_the_clock_of_the_work_by_hand_counts_while_it_runs_and_never_backwards(modules: Page) -> None:
+    paused, runs, set_back = (
+        {"worked_ms": 90_000, "since_ms": since_ms} for since_ms in (None, 1_000_000.0, 2_000_000.0)
+    )
+    given = {"clocks": [paused, runs, set_back], "now": 1_030_000.0}
+    assert modules.evaluate(CLOCKS, given) == [90, 120, 90]
+
+
+def test_after_the_last_pass_the_work_by_hand_has_a_clock_that_a_reload_keeps(opened: Opened) -> None:
+    page = open_blank(opened, "machine", key="Ada")
+    told(page, "finished", operator="Ada", run={"next": None})
+    job = canned_job.job()
+    by_hand = instruct_finishing({"process": "felt"}, built_in_processes(), area_mm2=2500.0)
+    job |= {"id": RUN["job"], "report": job["report"] | {"finishing": by_hand}}
+    page.route(f"**/v1/jobs/{RUN['job']}", lambda route: route.fulfill(json=job))
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    clock = page.locator(".running .work-clock")
+    expect(clock.get_by_role("timer")).to_have_text("10 min left")
+    clock.get_by_role("button", name="Start the clock").click()
+    expect(clock).to_contain_text("until ")
+    page.evaluate(
+        """() => {
+            const [kept] = Object.keys(localStorage).filter((key) => key.endsWith("work-by-hand"));
+            const all = JSON.parse(localStorage.getItem(kept));
+            for (const one of Object.values(all)) one.since_ms -= 4 * 60 * 1000;
+            localStorage.setItem(kept, JSON.stringify(all));
+        }"""
+    )
+    page.reload()
+    expect(clock.get_by_role("timer")).to_have_text("6 min left")
+    clock.get_by_role("button", name="Pause").click()
+    expect(clock).to_contain_text("paused after 4 min")
+    clock.get_by_role("button", name="From the beginning").click()
+    expect(clock.get_by_role("timer")).to_have_text("10 min left")
+    page.get_by_role("link", name="How it is done").click()
+    expect(page.locator(".finishing-part details")).to_have_attribute("open", "")

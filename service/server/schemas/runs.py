@@ -89,7 +89,7 @@ class RunProgress(Body):
     words: Annotated[str, Field(description="why it is in this state")]
     code: Code
     values: Values
-    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
+    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by the time of its lines")]
     executed_line: int
     lines: int | None
     time_s: float | None
