@@ -67,7 +67,7 @@ class MillWatch:
             if trouble and self._troubles.get(machine.name) != trouble:
                 news.append(self._describe_trouble(machine, trouble))
             self._troubles[machine.name] = trouble
-        finished = {run.id: run for run in runs if run.state == FINISHED}
+        finished = {run.id: run for run in runs if run.state == FINISHED and run.lift_mm is None}
         if self._ended is not None:
             news += [self._describe_end(run) for name, run in finished.items() if name not in self._ended]
         self._ended = set(finished)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from textwrap import wrap
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +15,6 @@ from service.job.report.figures.base import new_figure, panel_height, png_bytes
 from service.job.report.figures.wall import show_light
 from service.wording import ball, duration
 
-if TYPE_CHECKING:
-    from cam.planning.planner import Candidate
-    from service.job.planning.plan import Planned
-
 _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
 _WIDE_IN, _LEAST_WIDTH_IN = 3.1, 9.5  # of a picture; of the figure, so that the words of the curve fit
 _CAPTION_CHARS = 44  # as many as fit under a picture
@@ -26,7 +22,7 @@ _CAPTION_CHARS = 44  # as many as fit under a picture
 
 def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> bytes:
     """Draw target, three plans from quick to best, and the curve of all; the choice is marked."""
-    shown = _choose_shown(planned)
+    shown = planned.choices
     target = planned.light.target
     white = float(target.max())
     columns = 1 + len(shown)
@@ -44,12 +40,6 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
         _draw_picture(axes, picture, white, title, words, marked=one is planned.chosen)
     _draw_curve(below.subplots(), planned)
     return png_bytes(figure)
-
-
-def _choose_shown(planned: Planned) -> list[Candidate]:
-    """Return the quickest, the chosen and the best, each once, by time."""
-    chosen = (planned.plan.quickest, planned.chosen, planned.plan.best)
-    return [one for one in planned.plan.front if one in chosen]
 
 
 def _draw_picture(

@@ -38,6 +38,7 @@ ORDERS: dict[str, dict[str, Any]] = {
     "frame": {"program": "0" * 64},
     "zero": {},
     "override": {"what": "feed", "percent": 90},
+    "spindle": {"on": True, "rpm": 9000},
     "check": {"on": True},
     "block": {"text": "G0 X1"},
 } | {order: {} for order in ("home", "unlock", "reset", "resume", "trust-position", "settings", *map(str, Stop))}
