@@ -293,6 +293,7 @@ CUTTER_RADIUS_MM = (0.01, 50.0)
 MARGIN_MM = (0.0, 1000.0)
 BESIDE_MM = (1.0, 100.0)  # up, aside and down to where the side of a plate is touched
 OVERRIDE_PERCENT = (10, 200)  # of feed and spindle
+HAND_RPM = (0.0, 1_000_000.0)  # the profile of the mill says more
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,6 +400,13 @@ class ReadSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Spindle:
+    """Switch the spindle on, clockwise, at so many rpm, or off (None). Outside programs only."""
+
+    rpm: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class SendBlock:
     """One block typed by the operator, when the mill is idle."""
 
@@ -407,7 +415,7 @@ class SendBlock:
 
 Command = (
     Home | Unlock | Reset | Jog | Travel | JogCancel | ProbeZ | ProbeCorner | SetZero | TrustPosition | Override
-    | CheckMode | ReadSettings | SendBlock
+    | CheckMode | ReadSettings | Spindle | SendBlock
 )  # fmt: skip
 
 

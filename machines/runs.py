@@ -101,9 +101,12 @@ class RunReport:
     """The report of a mill's owner on a run at one moment.
 
     words         : why it is in this state, for the operator; code, values: the same for programs ("": words are all)
+    lift_mm       : of a dry pass: the program so much higher, spindle off; it cuts nothing. None: the program as it is
+    lifted_from   : digest of the program that a dry pass is made from; "" of others
     travel_in_doubt : one of the warnings is that the program may not fit the travel
     executed_line : every line up to this one has certainly been cut
-    time_s        : estimate for the whole program; time_left_s is scaled by how the run has kept to it, None = unknown
+    time_s        : estimate for the whole program, cut_s of it for the lines up to executed_line
+    time_left_s   : the rest, scaled by how the run has kept to the estimate; None = unknown
     created_s ... : wall clock, seconds since 1970; None = not yet
     """
 
@@ -121,12 +124,15 @@ class RunReport:
     sent_line: int = 0
     executed_line: int = 0
     time_s: float = 0.0
+    cut_s: float = 0.0
     time_left_s: float | None = None
     created_s: float = 0.0
     started_s: float | None = None
     ended_s: float | None = None
     recoveries: int = 0
     warnings: tuple[str, ...] = field(default=())
+    lift_mm: float | None = None
+    lifted_from: str = ""
     travel_in_doubt: bool = False
 
     @property
@@ -135,8 +141,11 @@ class RunReport:
 
     @property
     def share(self) -> float:
-        """The share of lines that are certainly cut, 0 to 1."""
-        return 1.0 if self.state is _S.FINISHED else min(1.0, self.executed_line / self.lines) if self.lines else 0.0
+        """The share that is certainly cut, 0 to 1: by time, and by lines where no time is known."""
+        if self.state is _S.FINISHED:
+            return 1.0
+        done, whole = (self.cut_s, self.time_s) if self.time_s else (self.executed_line, self.lines)
+        return min(1.0, done / whole) if whole else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         values = {name: getattr(self, name) for name in self.__slots__}

@@ -16,6 +16,7 @@ from machines.driver import (
     Reset,
     SendBlock,
     SetZero,
+    Spindle,
     Travel,
     Triple,
     TrustPosition,
@@ -49,6 +50,7 @@ ALLOWED: dict[type, frozenset[MillState]] = {
     Override: _LINKED - {MillState.HOMING, MillState.SLEEP},
     CheckMode: frozenset({MillState.IDLE, MillState.CHECK}),
     ReadSettings: frozenset({MillState.IDLE, MillState.ALARM}),
+    Spindle: _IDLE,
     SendBlock: _IDLE,
 }
 # These are allowed alongside a command under way; all others need the link to themselves.
@@ -129,6 +131,8 @@ def _values(
         return _jog(command.by_mm, settings, machine_mm) if settings.homing and trusted else None
     if isinstance(command, Travel):
         return _travel(command, settings, machine_mm)
+    if isinstance(command, Spindle) and command.rpm is not None and settings.laser_mode:
+        return Phrase("laser mode is on ($32=1): the spindle would not turn while the mill stands still")
     if isinstance(command, ProbeZ):
         return _probe(command)
     if isinstance(command, ProbeCorner):

@@ -23,6 +23,7 @@ from machines.driver import (
     ReadSettings,
     SendBlock,
     SetZero,
+    Spindle,
     Travel,
     Triple,
     Unlock,
@@ -46,7 +47,7 @@ from machines.grbl.asking import (
     require_ok,
 )
 from machines.grbl.settings import ControllerSettings, read_settings
-from machines.grbl.timeouts import longest_homing_s
+from machines.grbl.timeouts import SPINDLE_S, longest_homing_s
 from phrases.phrase import Phrase
 
 BACK_MM = 1.0  # from the fast touch to where the slow one begins
@@ -283,8 +284,8 @@ def unlock(modes: str) -> CommandSequence:
     return Outcome()
 
 
-def ask_once(text: bytes) -> CommandSequence:
-    require_ok((yield Ask(text)))
+def ask_once(text: bytes, timeout_s: float = REPLY_S) -> CommandSequence:
+    require_ok((yield Ask(text, timeout_s)))
     return Outcome()
 
 
@@ -364,6 +365,8 @@ def make_sequence(command: Command, settings: ControllerSettings, modes: str) ->
             return set_zero(command, settings)
         case CheckMode():
             return ask_once(b"$C")  # a toggle; off ends in a soft reset of the controller's own, with a banner
+        case Spindle(rpm=rpm):
+            return ask_once(b"M5" if rpm is None else f"M3S{rpm:.0f}".encode(), REPLY_S + SPINDLE_S)
         case SendBlock():
             return send_block(command, settings)
         case _:

@@ -25,6 +25,7 @@ from machines.driver import (
     Reset,
     SendBlock,
     SetZero,
+    Spindle,
     Travel,
     Triple,
     TrustPosition,
@@ -204,6 +205,10 @@ def _describe_question(command: Command) -> Phrase:
             return Phrase("Feed at {percent} %", percent=command.percent)
         case CheckMode():
             return Phrase("Check mode on") if command.on else Phrase("Check mode off")
+        case Spindle(rpm=None):
+            return Phrase("Spindle off")
+        case Spindle(rpm=rpm):
+            return Phrase("Spindle on at {rpm:g} rpm", rpm=rpm)
         case SendBlock():
             return Phrase("Line {text}", text=command.text)
         case _:

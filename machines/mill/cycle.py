@@ -22,6 +22,7 @@ from machines.driver import (
 )
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.commands import Commands
+from machines.mill.hand_spindle import HandSpindle
 from machines.mill.link import AWAY, get_settings
 from machines.mill.run_control import RunControl, UnattendedRuns
 from machines.mill.view import MillContext
@@ -33,11 +34,12 @@ PLACE_S = 5.0  # some links never report the mill's position
 
 @dataclass(eq=False)
 class MillCycle:
-    """Reads the driver and passes on its reports. Sends only queries."""
+    """Reads the driver and passes on its reports. Sends only queries, and what `HandSpindle.watch` sends."""
 
     context: MillContext
     control: RunControl
     commands: Commands
+    spindle: HandSpindle
     unattended: UnattendedRuns
     publish: Callable[[], None]
     _look_at_s: float = float("-inf")
@@ -67,6 +69,7 @@ class MillCycle:
             self.context.link.setup.homed = False
         self.control.follow()
         self.unattended.watch()
+        self.spindle.watch()
         self.publish()
 
     def read_settings(self) -> dict[str, Any] | None:
@@ -100,6 +103,7 @@ class MillCycle:
 
     def _handle(self, event: Event) -> None:
         run = self.control.streamed
+        self.spindle.take(event)
         try:
             match event:
                 case Faulted():

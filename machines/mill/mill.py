@@ -5,9 +5,12 @@ Nothing here moves the mill by itself. A lost link is opened again at growing in
 unasked, and a hold or an abort that was ordered while the link was away. Every start and every recovery needs a
 person's confirmation.
 
+A spindle that a person has switched on by hand is switched off when that person's control ends.
+
 The parts: `link` and `run_store` hold the link and the runs; `run_control` the streamed run, and runs whose mill went
-on unattended; `commands` sends commands outside a run, `travelling` plans ways; `cycle` reads the driver; `starting`
-starts and recovers; `view` has the shared context, log and snapshot. `Mill` combines them and carries out orders.
+on unattended; `commands` sends commands outside a run, `travelling` plans ways, `hand_spindle` has the spindle there;
+`cycle` reads the driver; `starting` starts and recovers; `view` has the shared context, log and snapshot. `Mill`
+combines them and carries out orders.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from machines.errors import MachineError, MillCode, NotAllowedError
 from machines.journal.journal import Journal
 from machines.mill.commands import Commands
 from machines.mill.cycle import MillCycle
+from machines.mill.hand_spindle import HandSpindle
 from machines.mill.link import MillLink
 from machines.mill.orders import Caller, Order, OrderGate, Stop
 from machines.mill.run_control import RunControl, UnattendedRuns
@@ -37,6 +41,7 @@ from phrases.phrase import Phrase
 
 T = TypeVar("T")
 
+_SPINDLE_S = 2.0  # for M5 and its answer
 _MOVES = frozenset({MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING})
 
 
@@ -55,9 +60,11 @@ class Mill:
         open_journal: Callable[[Path], Journal] = Journal,
         pause: Callable[[float], object] | None = None,
         orders: OrderGate | None = None,
+        spindle_rpm: tuple[float, float] | None = None,
     ) -> None:
         clock = clock or make_running_clock()
         self.name = name
+        self._clock = clock
         self.orders = orders or OrderGate(wall_clock=wall_clock)
         self._order = Order()
         self._closed = False
@@ -71,10 +78,11 @@ class Mill:
         unattended = UnattendedRuns(context)
         self._control = RunControl(context)
         self._commands = Commands(context, unattended)
-        self._cycle = MillCycle(context, self._control, self._commands, unattended, self.publish)
+        self._spindle = HandSpindle(context, self._commands, spindle_rpm)
+        self._cycle = MillCycle(context, self._control, self._commands, self._spindle, unattended, self.publish)
         self._planner = RecoveryPlanner(context, self._cycle, reentry)
         self._ways = WayPlanner(context, reentry.safe_z_mm)
-        self._starter = RunStarter(context, self._cycle, self._control, unattended, self._planner)
+        self._starter = RunStarter(context, self._cycle, self._control, unattended, self._planner, self._spindle)
         self.publish()
 
     @property
@@ -132,10 +140,12 @@ class Mill:
         self.publish()
         return answer
 
-    def park(self, program: Preflight, path: Path, name: str) -> RunReport:
-        """Add a run that waits for its start. Nothing is sent."""
+    def park(
+        self, program: Preflight, path: Path, name: str, *, lift_mm: float | None = None, lifted_from: str = ""
+    ) -> RunReport:
+        """Add a run that waits for its start. Nothing is sent. lift_mm, lifted_from : as in `RunReport`"""
         self._require_open()
-        run = self._runs.park(program, path, name)
+        run = self._runs.park(program, path, name, lift_mm=lift_mm, lifted_from=lifted_from)
         self.publish()
         return run.view
 
@@ -177,12 +187,21 @@ class Mill:
     def command(self, command: Command) -> None:
         """Home, unlock, jog, probe, zero, override ...: the answer is an entry of the log."""
         self._require_open()
-        self._commands.send(command, self._order)
+        self._spindle.send(command, self._order)
+        self._cycle.look()
+
+    def switch_spindle(self, rpm: float | None) -> None:
+        """Switch the spindle on outside programs, within the mill's speeds, or off (None)."""
+        self._require_open()
+        self._spindle.switch(rpm, self._order)
         self._cycle.look()
 
     def go_to_zero(self, axes: str, feed_mm_per_min: float) -> None:
         """Go to the work zero at a safe height, and with axes = "XYZ" down to it. The answer is an entry of the log."""
-        self.command(self._ways.to_zero(axes, feed_mm_per_min))
+        way = self._ways.to_zero(axes, feed_mm_per_min)
+        if axes == "XYZ":
+            self._spindle.require_off(way.name)
+        self.command(way)
 
     def frame(self, program: str, feed_mm_per_min: float, *, confirmed: bool = False) -> None:
         """Go around the outline of the program that waits, above all of it. As `WayPlanner.around`."""
@@ -237,9 +256,18 @@ class Mill:
         self.require_closable(detach=detach)
         self._closed = True
         try:
+            self._switch_spindle_off()
             self._link.close()
         finally:
             self._runs.close()
+
+    def _switch_spindle_off(self) -> None:
+        """Wait a moment until the controller has switched off a spindle that a person has switched on."""
+        self._spindle.end()
+        until_s = self._clock() + _SPINDLE_S
+        while self._spindle.may_turn and self._link.driver is not None and self._clock() < until_s:
+            self._cycle.step(0.05)
+            self._cycle.look()
 
     def note_failure(self, error: BaseException) -> None:
         """Hold a mill that moves or may move, because this failure ends the owner thread; log the reason."""

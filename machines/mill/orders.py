@@ -88,6 +88,7 @@ class Grant:
     word: str
     issued_s: float
     stops: int
+    halts: int  # stops without the ends of jogs
     lease: int | None
 
 
@@ -119,7 +120,7 @@ class OrderGate:
         self._wall = wall_clock
         self._make_secret = make_secret
         self._lock = threading.Lock()
-        self._stops = 0
+        self._stops = self._halts = 0
         self._grants: dict[str, Grant] = {}
         self._lease: Lease | None = None
         self._renewed_s = 0.0
@@ -131,10 +132,11 @@ class OrderGate:
     def stops(self) -> int:
         return self._stops
 
-    def count_stop(self) -> int:
+    def count_stop(self, stop: Stop = Stop.HOLD) -> int:
         """End every grant issued so far."""
         with self._lock:
             self._stops += 1
+            self._halts += stop is not Stop.JOG_CANCEL
             return self._stops
 
     # ------------------------------------------------------------------ control
@@ -205,6 +207,7 @@ class OrderGate:
                 word=self._make_secret(),
                 issued_s=now_s,
                 stops=self._stops,
+                halts=self._halts,
                 lease=None if lease is None else lease.number,
             )
             self._grants[grant.word] = grant
@@ -265,6 +268,12 @@ class Permit:
         """Let only a stop or a change of control end it from now on: its first bytes have left."""
         self._limit_s = math.inf
 
+    @property
+    def has_control(self) -> bool:
+        """Whether its giver still has control, and nobody has held or aborted the mill since. Time does not count."""
+        gate, lease = self._gate, self._gate.get_lease()
+        return gate._halts == self._grant.halts and lease is not None and lease.number == self._grant.lease
+
     def require(self) -> None:
         """Raise OrderRefusedError unless the order is still valid: the last check before a byte is sent."""
         gate, grant = self._gate, self._grant
@@ -290,6 +299,10 @@ class Order:
 
     caller: Caller = NOBODY
     permit: Permit | None = None
+
+    @property
+    def has_control(self) -> bool:
+        return self.permit is None or self.permit.has_control
 
     def extend(self) -> None:
         if self.permit is not None:

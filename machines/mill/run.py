@@ -64,6 +64,11 @@ class Run:
         return self.state in LIVE
 
     @property
+    def cuts(self) -> bool:
+        """Whether it is a program as it is, and not a dry pass of one."""
+        return self.record.get("lift_mm") is None
+
+    @property
     def unattended(self) -> str:
         """LINK_LOST or OWNER_LOST while the mill's position still shows how far it went unattended; otherwise ""."""
         return str(self.record.get("adrift") or "")
@@ -75,7 +80,7 @@ class Run:
     @property
     def view(self) -> RunReport:
         if self._view is None:
-            self._view = _make_view(self.record, self._time_left_s())
+            self._view = _make_view(self.record, self._compute_time_at_s(self.executed_line), self._time_left_s())
         return self._view
 
     def load(self) -> tuple[Preflight, ProgramReader]:
@@ -181,13 +186,14 @@ class Run:
         lines, total_s = int(self.record.get("lines", 0)), float(self.record.get("time_s", 0.0))
         if not lines or not total_s or self.state is RunState.FINISHED:
             return None
-        timeline = self.record.get("timeline") or ()
-        base_s, now_s = (
-            compute_time_at_s(timeline, line, lines=lines, time_s=total_s)
-            for line in (self._base_line, self.executed_line)
-        )
+        base_s, now_s = map(self._compute_time_at_s, (self._base_line, self.executed_line))
         pace = (self._moved_s + _PACE_PRIOR_S) / (now_s - base_s + _PACE_PRIOR_S)
         return max(0.0, total_s - now_s) * pace
+
+    def _compute_time_at_s(self, line: int) -> float:
+        """Return when pre-flight expects this line to be executed, from the start."""
+        lines, total_s = int(self.record.get("lines", 0)), float(self.record.get("time_s", 0.0))
+        return compute_time_at_s(self.record.get("timeline") or (), line, lines=lines, time_s=total_s)
 
     def take_back(self, fields: dict[str, Any]) -> None:
         """Undo a start that did not take place. If the disk refuses this as well, its next good record will have it."""
@@ -195,7 +201,7 @@ class Run:
             self.write("run", **fields)
 
 
-def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunReport:
+def _make_view(record: Mapping[str, Any], cut_s: float, time_left_s: float | None) -> RunReport:
     """Return the public view of a run's record. Values of a start that was taken back are None in the record."""
     return RunReport(
         id=str(record["id"]),
@@ -212,11 +218,14 @@ def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunRepor
         sent_line=int(record.get("sent_line") or 0),
         executed_line=int(record.get("executed_line") or 0),
         time_s=float(record.get("time_s", 0.0)),
+        cut_s=round(cut_s, 2),
         time_left_s=time_left_s,
         created_s=float(record.get("created_s", 0.0)),
         started_s=record.get("started_s"),
         ended_s=record.get("ended_s"),
         recoveries=int(record.get("recoveries") or 0),
         warnings=tuple(record.get("warnings", ())),
+        lift_mm=record.get("lift_mm"),
+        lifted_from=str(record.get("lifted_from") or ""),
         travel_in_doubt=bool(record.get("travel_in_doubt")),
     )

@@ -303,7 +303,7 @@ class RunControl:
         """Finish the run whose program has been executed to its end."""
         if self.streamed is not None and self.streamed.live:
             run = self.streamed
-            self._end(run, RunState.FINISHED, "", touch_off=_TOUCH_OFF)
+            self._end(run, RunState.FINISHED, "", touch_off=_TOUCH_OFF if run.cuts else "")
 
     def note_stop(self, event: Stopped) -> None:
         """End a run that was to be aborted: the mill stands with empty buffers."""

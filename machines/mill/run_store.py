@@ -183,14 +183,16 @@ class RunStore:
     def recoverable(self) -> list[Run]:
         return [run for run in self._runs.values() if run.state in RECOVERABLE]
 
-    def park(self, program: Preflight, path: Path, name: str) -> Run:
-        """Add a run that waits for its start."""
+    def park(
+        self, program: Preflight, path: Path, name: str, *, lift_mm: float | None = None, lifted_from: str = ""
+    ) -> Run:
+        """Add a run that waits for its start. lift_mm, lifted_from : as in `RunReport`"""
         run_id = self._folders.new_id(self._wall(), program.sha256)
         self._folders.save_facts(run_id, program)
         record = {
             "id": run_id, "name": name, "sha256": program.sha256, "path": str(path.absolute()), "lines": program.lines,
             "bytes": program.bytes, "time_s": program.time_s, "timeline": program.timeline, "profile": program.profile,
-            "created_s": round(self._wall(), 3),
+            "created_s": round(self._wall(), 3), "lift_mm": lift_mm, "lifted_from": lifted_from,
             "warnings": list(program.warnings), "state": RunState.PARKED.value, "executed_line": 0,
             "travel_in_doubt": any(one.startswith(AT_PRESENT_ZERO) for one in program.warnings),
         }  # fmt: skip

@@ -14,6 +14,7 @@ from machines.driver import Driver, MillState, ProgramLine, TrustPosition, allow
 from machines.errors import JournalError, MachineError, MillCode, NotAllowedError, WrongStateError
 from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
+from machines.mill.hand_spindle import HandSpindle
 from machines.mill.link import get_settings
 from machines.mill.orders import Order, OrderRefusedError, Refusal
 from machines.mill.run import Run
@@ -85,6 +86,7 @@ class RunStarter:
     control: RunControl
     unattended: UnattendedRuns
     planner: RecoveryPlanner
+    spindle: HandSpindle
 
     def start(self, run_id: str, confirmation: Confirmation, order: Order, *, setup: str | None) -> None:
         """Stream a parked run from its first line. setup : as `Mill.start`"""
@@ -141,6 +143,7 @@ class RunStarter:
         self._stream(run, RunState.RECOVERING, baseline, driver, plan.lines(reader), order)
 
     def _ready_driver(self, doing: str) -> Driver:
+        self.spindle.require_off(doing)
         if (live := self.context.runs.live) is not None:
             words = f"{doing}: {live.name} is {live.state.value}; one run at a time"
             raise NotAllowedError(words, code=MillCode.RUN_LIVE)
@@ -220,6 +223,8 @@ class RunStarter:
             run.take_back(before)
             raise
         self.control.note_start(run)
+        if not run.cuts:
+            return  # the zeros and the touch-off are still to come for the program itself
         self.context.link.setup.zeroed_anew = ""
         try:
             self.context.runs.note_touch_off()

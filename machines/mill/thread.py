@@ -84,7 +84,7 @@ class MillThread:
         The stop is counted first, so that no older order is carried out any more. Then the byte is sent without waiting
         for the owner thread, whose own part comes before all other calls.
         """
-        self._mill.orders.count_stop()
+        self._mill.orders.count_stop(stop)
         written = self._mill.urge(stop.value)
         return written, self._put(self._stops, lambda mill: mill.carry_out_stop(stop, caller))
 

@@ -51,11 +51,11 @@ class WayPlanner:
     def around(self, program: str, feed_mm_per_min: float, *, confirmed: bool = False) -> Travel:
         """Return the way around the outline of the parked program, above all of it. NotAllowedError.
 
-        program   : digest of the program that the person has seen
+        program   : digest of the program that the person has seen; of a dry pass the one it is made from, too
         confirmed : a person at the mill has just said that position and zero are right
         """
         run = next((run for run in self.context.runs.views() if run.state is RunState.PARKED), None)
-        if run is None or run.program != program:
+        if run is None or program not in (run.program, run.lifted_from):
             raise NotAllowedError(Phrase("Frame: this program does not wait on the mill; load it again"))
         name = Phrase("Frame of {program}", program=run.name)
         at_mm, zero_mm = self._find_place(name, confirmed=confirmed)

@@ -15,6 +15,7 @@ from machines.driver import (
     BESIDE_MM,
     CORNER_PLATE_MM,
     CUTTER_RADIUS_MM,
+    HAND_RPM,
     JOG_FEED,
     JOG_MM,
     MARGIN_MM,
@@ -37,6 +38,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
+from machines.gcode.lift import LIFT_MM
 from machines.mill.mill import Mill
 from machines.runs import RunState
 from phrases.phrase import Phrase
@@ -61,6 +63,12 @@ def _within(low_high: tuple[float, float], **more: Any) -> Any:
 
 
 _Mm = Annotated[float, _within(JOG_MM)]
+LiftMm = Annotated[
+    float | None,
+    _within(
+        LIFT_MM, description="a dry pass: the whole program so much higher, spindle and coolant off; it cuts nothing"
+    ),
+]
 
 
 class ControlBody(Body):
@@ -98,11 +106,14 @@ class FetchBody(Body):
 
 
 class ParkBody(Body):
-    """A run of a program that the agent has. key: the second request with the same one makes no second run."""
+    """A run of a program that the agent has. key: the second request with the same one makes no second run; lift_mm: a
+    dry pass of it, so much higher with the spindle off.
+    """
 
     program: Annotated[str, Field(max_length=500)]
     name: Annotated[str, Field(max_length=200)] = ""
     key: Annotated[str, Field(max_length=100)] = ""
+    lift_mm: LiftMm = None
 
 
 class ConfirmationBody(Body):
@@ -299,6 +310,22 @@ class OverrideBody(OrderBody):
         return Override(self.what, self.percent)
 
 
+class SpindleBody(OrderBody):
+    """By hand, outside programs. It goes off when control ends, and with each hold and abort."""
+
+    on: Annotated[bool, Field(strict=True)]
+    rpm: Annotated[float, _within(HAND_RPM, description="within the mill's own speeds; for `on`", examples=[12e3])] = (
+        0.0
+    )
+
+    def make_act(self) -> Callable[[Mill], None]:
+        if self.on is (self.rpm == 0.0):
+            raise Problem(
+                422, Phrase("rpm must be above 0 to switch it on, and is not given to switch it off"), field="rpm"
+            )
+        return lambda mill: mill.switch_spindle(self.rpm if self.on else None)
+
+
 class CheckBody(OrderBody):
     on: Annotated[bool, Field(strict=True, description="the controller reads programs and moves nothing")]
 
@@ -337,6 +364,7 @@ ORDERS: dict[str, type[OrderBody]] = {
     "probe-corner": ProbeCornerBody,
     "zero": ZeroBody,
     "override": OverrideBody,
+    "spindle": SpindleBody,
     "check": CheckBody,
     "block": BlockBody,
 }

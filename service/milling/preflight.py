@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
+from machines.gcode.lift import require_liftable
 from machines.grbl.settings import ControllerSettings
 from machines.preflight.preflight import (
     Finding,
@@ -91,23 +92,35 @@ def _compute(
 ) -> Preflight:
     """Run the child; its result gets the name of its content."""
     staging = folder / f".new-{os.getpid()}-{_digest([str(path), held_against])}.json"
-    request = {"path": str(path), "limits": limits.to_dict(), "result": str(staging)}
-    child = Child("service.milling.preflight_child")
     try:
-        answer = child.ask(request, on_share=on_progress)
-        if refused := answer.get("refused"):
-            raise ProgramRefusedError(**refused)
-        if reason := answer.get("failed"):
-            raise _make_error(path, reason)
+        _ask_child(path, {"limits": limits.to_dict(), "result": str(staging)}, on_progress)
         text = staging.read_text(encoding="utf-8")
         found = Preflight.from_json(text)
         staging.replace(folder / f"{held_against}-{found.bytes}-{found.sha256}.json")
         return found
+    finally:
+        staging.unlink(missing_ok=True)
+
+
+def write_dry_pass(path: Path, profile: MachineProfile, lift_mm: float, target: Path) -> None:
+    """Write the program so much higher, with spindle and coolant off. Errors as of `run_preflight`."""
+    require_liftable(profile.dialect)
+    _ask_child(path, {"lift_mm": lift_mm, "result": str(target)})
+
+
+def _ask_child(path: Path, request: dict[str, Any], on_progress: Callable[[float], None] | None = None) -> None:
+    """Let a child process do its work on the program. ProgramRefusedError, PreflightError"""
+    child = Child("service.milling.preflight_child")
+    try:
+        answer = child.ask({"path": str(path), **request}, on_share=on_progress)
+        if refused := answer.get("refused"):
+            raise ProgramRefusedError(**refused)
+        if reason := answer.get("failed"):
+            raise _make_error(path, reason)
     except ChildError as error:
         raise _make_error(path, f"the reading process ended early ({error})") from None
     finally:
         child.end()
-        staging.unlink(missing_ok=True)
 
 
 def _make_error(path: Path, reason: str) -> PreflightError:

@@ -1,6 +1,7 @@
 """The child process of pre-flight: reads a whole program with compiled code and writes its findings as one JSON file.
 
-Request: {"path", "limits", "result": the file to write}. Result: {}, or {"refused": ...} or {"failed": "..."}.
+Request: {"path", "limits", "result": the file to write}, or {"path", "lift_mm", "result"} for a dry pass's program.
+Result: {}, or {"refused": ...} or {"failed": "..."}.
 """
 
 from __future__ import annotations
@@ -36,10 +37,12 @@ def _answer(request: dict[str, Any], on_share: Callable[[float], None]) -> dict[
     from machines.errors import ProgramRefusedError
     from machines.preflight.preflight import MillLimits
 
+    path, result = Path(request["path"]), Path(request["result"])
     try:
-        _write(
-            Path(request["result"]), examine(Path(request["path"]), MillLimits.from_dict(request["limits"]), on_share)
-        )
+        if (lift_mm := request.get("lift_mm")) is None:
+            _write(result, examine(path, MillLimits.from_dict(request["limits"]), on_share))
+        else:
+            _write_lifted(path, lift_mm, result)
     except ProgramRefusedError as error:
         return {"refused": {"line": error.line, "text": error.text, "reason": error.reason}}
     except OSError as error:
@@ -119,6 +122,13 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         findings=rules.judge_program(reading),
         index=scan.index,
     )
+
+
+def _write_lifted(path: Path, lift_mm: float, target: Path) -> None:
+    from machines.gcode.lift import lift_program
+
+    with path.open("rb") as source, target.open("wb") as file:
+        file.writelines(line + b"\n" for line in lift_program(source, lift_mm))
 
 
 class _Knots:

@@ -2,7 +2,7 @@
 
 Figures are ratios within this run or best-of-several times on this machine; none of them is asserted.
 Name sections to run only those:
-python -m tests.benchmarks transport contact accuracy programs contour milled make server stops page jobs
+python -m tests.benchmarks transport contact accuracy programs contour milled make lenses server stops page jobs
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from tests.benchmarks import (  # noqa: E402
     contact,
     contour,
     frames,
+    how_good,
     lights,
     milled,
     page,
@@ -51,6 +52,7 @@ SECTIONS = {
     "plans": plans.figures,
     "milled": milled.figures,
     "make": whole.figures,
+    "lenses": how_good.figures,
     "server": server.figures,
     "stops": stops.figures,
     "jobs": jobs.figures,

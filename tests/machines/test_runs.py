@@ -53,10 +53,15 @@ def test_nobody_confirms_nothing() -> None:
         Confirmation("  ", START_CHECKS).demand(START_CHECKS, "start")
 
 
-def test_share_is_by_lines_and_one_at_the_end() -> None:
-    view = RunReport(id="a", name="n", program="p", path="/p", state=RunState.RUNNING, lines=200, executed_line=50)
-    assert view.share == 0.25
+@pytest.mark.parametrize(
+    ("times", "share"), [({}, 0.25), ({"time_s": 100.0, "cut_s": 80.0}, 0.8), ({"time_s": 9.0, "cut_s": 10.0}, 1.0)]
+)
+def test_share_is_by_time_or_by_lines_and_one_at_the_end(times: dict[str, float], share: float) -> None:
+    about = {"id": "a", "name": "n", "program": "p", "path": "/p", "lines": 200, "executed_line": 50} | times
+    view = RunReport(state=RunState.RUNNING, **about)
+    assert view.share == share
     assert view.as_dict()["state"] == "running"
+    assert RunReport(state=RunState.FINISHED, **about).share == 1.0
 
 
 def test_a_journal_of_before_there_were_codes_is_told_by_its_words() -> None:

@@ -109,6 +109,7 @@ RUN: dict[str, Any] = {
     "time_s": 5400.0,
     "time_left_s": 5400.0,
     "operator": "",
+    "lift_mm": None,
     "recoveries": 0,
     "warnings": _SENTENCES["warnings"],
     "travel_in_doubt": True,
@@ -136,7 +137,7 @@ RUN: dict[str, Any] = {
 }
 _OF_OPEN = {
     *("id", "state", "job", "program", "words", "code", "values", "operator"),
-    *("share", "executed_line", "lines", "time_s", "time_left_s"),
+    *("share", "executed_line", "lines", "time_s", "time_left_s", "lift_mm"),
 }  # of a run, as its mill tells it
 PLAN: dict[str, Any] = {
     "run": RUN_ID,

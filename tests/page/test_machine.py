@@ -6,16 +6,19 @@ import csv
 import io
 import re
 from itertools import product
+from typing import Any
 
 import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
+from service.job.spec.finish_library import built_in_processes, instruct_finishing
 from tests.levels import mostly_thorough
+from tests.page import canned_job
 from tests.page.browser import Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
-from tests.page.machine_states import STATES, USED, machine_in, told, with_control
+from tests.page.machine_states import RUN, STATES, USED, machine_in, told, with_control
 from tests.page.shop import MILL
 
 SCREEN = f"#/machines/{MILL}"
@@ -265,11 +268,83 @@ def test_a_run_says_since_when_until_what_time_and_how_much_of_its_whole_job_is_
     skipped = run | {"left_out": [{"name": "pass-1.nc"}], "time_left_s": None, "started_at": None}
     done = run | {"state": "finished", "program": {"name": "pass-3.nc"}, "time_left_s": None}
     other = run | {"program": {"name": "witness-marks.nc"}}
-    given = {"passes": passes, "runs": [run, late, skipped, done, other], "now": modules.evaluate(now)}
-    (here, late_, left_out, over, unknown) = modules.evaluate(TIMES, given)
+    dry = run | {"lift_mm": 20}
+    given = {"passes": passes, "runs": [run, late, skipped, done, other, dry], "now": modules.evaluate(now)}
+    (here, late_, left_out, over, unknown, in_air) = modules.evaluate(TIMES, given)
     assert re.fullmatch(r".+ since its start, ends about 23:30", here[0])
     assert here[1] == "Program 2 of 3. The whole job: 50 % cut, 2 h of milling left"
     assert re.search(r"ends about \w+.* 22:30", late_[0])
     assert left_out == ["", "Program 2 of 3. The whole job: 5 % cut, 3 h 48 min of milling left"]
     assert over[1] == "Program 3 of 3. The whole job: 100 % cut, 0 s of milling left"
-    assert unknown[1] == ""
+    assert unknown[1] == in_air[1] == ""  # a dry pass cuts nothing of its job
+
+
+def test_a_dry_pass_says_that_nothing_is_cut(opened: Opened) -> None:
+    page = with_control(opened, "parked", run={"lift_mm": 20.0})
+    card = page.locator(".running")
+    expect(card.locator(".dry")).to_have_text(
+        "Dry pass: the program runs 20 mm higher, with spindle and coolant off. Nothing is cut."
+    )
+    expect(card.locator(".checklist .go")).to_have_text("Start the dry pass of pass-2-finish.nc")
+    expect(card.locator(".checklist")).to_contain_text("a dry pass: the spindle stays off")
+    told(page, "finished", operator="Ada", run={"lift_mm": 20.0, "next": None})
+    expect(card.locator(".dry")).to_have_text(
+        "That was a dry pass, 20 mm higher: nothing was cut. Load the program again to cut it."
+    )
+    expect(card).not_to_contain_text("the lens is milled")
+    expect(page.locator(".step")).not_to_contain_text("milled")
+
+
+def test_a_program_is_loaded_as_it_is_or_as_a_dry_pass(opened: Opened) -> None:
+    page = with_control(opened, "idle", errors=("ERR_FAILED",))
+    sent: list[Any] = []
+    page.route("**/v1/machines/shop/runs", lambda route: (sent.append(route.request.post_data_json), route.abort()))
+    page.get_by_role("button", name="Load onto the mill").click()
+    page.get_by_text("Dry pass", exact=True).click()
+    page.get_by_role("button", name="Load as a dry pass").click()
+    page.wait_for_timeout(200)
+    assert [one.get("lift_mm") for one in sent] == [None, 20]
+
+
+CLOCKS = """async ({ clocks, now }) => {
+    const { workedSeconds } = await import("/page/job/work_clock.js");
+    return clocks.map((clock) => workedSeconds(clock, now));
+}"""
+
+
+def test_the_clock_of_the_work_by_hand_counts_while_it_runs_and_never_backwards(modules: Page) -> None:
+    paused, runs, set_back = (
+        {"worked_ms": 90_000, "since_ms": since_ms} for since_ms in (None, 1_000_000.0, 2_000_000.0)
+    )
+    given = {"clocks": [paused, runs, set_back], "now": 1_030_000.0}
+    assert modules.evaluate(CLOCKS, given) == [90, 120, 90]
+
+
+def test_after_the_last_pass_the_work_by_hand_has_a_clock_that_a_reload_keeps(opened: Opened) -> None:
+    page = open_blank(opened, "machine", key="Ada")
+    told(page, "finished", operator="Ada", run={"next": None})
+    job = canned_job.job()
+    by_hand = instruct_finishing({"process": "felt"}, built_in_processes(), area_mm2=2500.0)
+    job |= {"id": RUN["job"], "report": job["report"] | {"finishing": by_hand}}
+    page.route(f"**/v1/jobs/{RUN['job']}", lambda route: route.fulfill(json=job))
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    clock = page.locator(".running .work-clock")
+    expect(clock.get_by_role("timer")).to_have_text("10 min left")
+    clock.get_by_role("button", name="Start the clock").click()
+    expect(clock).to_contain_text("until ")
+    page.evaluate(
+        """() => {
+            const [kept] = Object.keys(localStorage).filter((key) => key.endsWith("work-by-hand"));
+            const all = JSON.parse(localStorage.getItem(kept));
+            for (const one of Object.values(all)) one.since_ms -= 4 * 60 * 1000;
+            localStorage.setItem(kept, JSON.stringify(all));
+        }"""
+    )
+    page.reload()
+    expect(clock.get_by_role("timer")).to_have_text("6 min left")
+    clock.get_by_role("button", name="Pause").click()
+    expect(clock).to_contain_text("paused after 4 min")
+    clock.get_by_role("button", name="From the beginning").click()
+    expect(clock.get_by_role("timer")).to_have_text("10 min left")
+    page.get_by_role("link", name="How it is done").click()
+    expect(page.locator(".finishing-part details")).to_have_attribute("open", "")

@@ -72,11 +72,18 @@ def press_guarded(page: Page, label: str, sure: str) -> None:
     page.get_by_role("group", name=label, exact=True).get_by_role("button", name=sure, exact=True).click()
 
 
+def press_spindle(page: Page) -> None:
+    page.get_by_text("Spindle by hand").click()
+    page.get_by_label("Speed").fill("9000")
+    press_guarded(page, "Spindle on", "Start the spindle")
+
+
 PRESSES: dict[str, tuple[str, Callable[[Page], None]]] = {
     "home": ("idle", lambda page: setup(page).get_by_role("button", name="Home", exact=True).click()),
     "jog": ("idle", lambda page: page.get_by_role("button", name="X minus").click()),
     "block": ("idle", press_send),
     "go-to-zero": ("idle", lambda page: press_guarded(page, "Go to X0 Y0 Z0", "Go down there")),
+    "spindle": ("idle", press_spindle),
     "frame": ("parked", lambda page: press_guarded(page, "Frame the job", "Go around it")),
     "start": ("parked", press_start),
     "resume": ("held", lambda page: page.get_by_role("button", name="Resume").click()),
@@ -96,7 +103,7 @@ def at_mill(opened: Opened, state: str, **how: Any) -> Page:
     return page
 
 
-@pytest.mark.parametrize("what", mostly_thorough(PRESSES, quick=["jog", "start", "frame", "go-to-zero"]))
+@pytest.mark.parametrize("what", mostly_thorough(PRESSES, quick=["jog", "start", "frame", "go-to-zero", "spindle"]))
 def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened, what: str) -> None:
     state, press = PRESSES[what]
     page = at_mill(opened, state)

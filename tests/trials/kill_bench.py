@@ -99,6 +99,7 @@ class Bench:
             wall_clock=lambda: 1.8e9 + self.sim.now_s,
             open_journal=open_journal,
             pause=lambda seconds: self.sim.advance(self.sim.now_s + seconds),
+            spindle_rpm=(1000.0, 24000.0),
         )
 
     def until(self, done: object, patience_s: float = 600.0) -> None:

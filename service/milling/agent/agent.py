@@ -28,7 +28,7 @@ from service.milling.agent.programs import ProgramStore
 from service.milling.agent.reporting import AuditLog
 from service.milling.agent.settings import AgentSettings
 from service.milling.connect import Connector, demand_blocks
-from service.milling.preflight import run_preflight
+from service.milling.preflight import run_preflight, write_dry_pass
 from service.processes.files import write_whole
 
 T = TypeVar("T")
@@ -158,3 +158,9 @@ class Agent:
         facts = run_preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
         demand_blocks(facts, program.stem[:12])
         return facts
+
+    def make_dry_pass(self, program: Path, lift_mm: float) -> Path:
+        """Make the program of a dry pass, and keep it as its own program. Slow, too."""
+        return self.store.add(
+            lambda target: write_dry_pass(program, self.profile, lift_mm, target), about_bytes=program.stat().st_size
+        )

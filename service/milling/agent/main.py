@@ -63,7 +63,13 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
         connector = Connector(profile, settings.port_url)
         reentry = Reentry(safe_z_mm=profile.safe_z_mm)
         with report_disk_errors(settings.folder):
-            mill = Mill(name=settings.machine, connect=connector, folder=settings.folder, reentry=reentry)
+            mill = Mill(
+                name=settings.machine,
+                connect=connector,
+                folder=settings.folder,
+                reentry=reentry,
+                spindle_rpm=profile.spindle_rpm,
+            )
         thread = MillThread(mill)
         stack.callback(thread.stop, detach=True)
         stack.callback(connector.close_unused)

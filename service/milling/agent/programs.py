@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -80,6 +80,20 @@ class ProgramStore:
 
     def remove(self, sha256: str) -> None:
         self.path_of(sha256).unlink()
+
+    def add(self, write: Callable[[Path], None], *, about_bytes: int) -> Path:
+        """Keep a program that `write` makes; return where it lies."""
+        self._require_room(about_bytes)
+        hidden = self._folder / f"{secrets.token_hex(8)}{_PART}"
+        try:
+            write(hidden)
+            with hidden.open("rb") as file:
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+                os.fsync(file.fileno())
+            self._publish(hidden, sha256)
+            return self._path(sha256)
+        finally:
+            hidden.unlink(missing_ok=True)
 
     async def receive(
         self, sha256: str, pieces: AsyncIterator[bytes], *, announced_bytes: int | None

@@ -20,7 +20,7 @@ from rich.console import Console
 from machines.clock import Timeout
 from machines.driver import MillStatus
 from machines.errors import MachineError
-from machines.gcode.lift import LIFT_MM, lift_program, require_liftable
+from machines.gcode.lift import LIFT_MM
 from machines.gcode.program import ProgramReader
 from machines.grbl.link import SILENT
 from machines.grbl.settings import ControllerSettings
@@ -34,7 +34,7 @@ from machines.runs import START_CHECKS, Confirmation, RunReport
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
 from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
-from service.milling.preflight import run_preflight
+from service.milling.preflight import run_preflight, write_dry_pass
 from service.milling.terminal.confirm import (
     FRAME_QUESTIONS,
     RECOVER_QUESTIONS,
@@ -147,11 +147,9 @@ def _lift_program(order: StreamOrder) -> Iterator[StreamOrder]:
     if order.lift_mm is None:
         yield order
         return
-    require_liftable(order.profile.dialect)
     with tempfile.TemporaryDirectory(prefix="causticmill-dry-") as folder:
         path = Path(folder) / f"{order.program.stem}-{order.lift_mm:g}mm-up{order.program.suffix}"
-        with order.program.open("rb") as source, path.open("wb") as target:
-            target.writelines(line + b"\n" for line in lift_program(source, order.lift_mm))
+        write_dry_pass(order.program, order.profile, order.lift_mm, path)
         yield dataclasses.replace(order, program=path)
 
 
@@ -286,7 +284,9 @@ def _prepare_new_run(
     """Park a run and, if asked, go around its outline. Return the function that starts it once the person has confirmed
     that all is in order.
     """
-    run: RunReport = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
+    run: RunReport = thread.call(
+        lambda mill: mill.park(facts, order.program.resolve(), order.program.name, lift_mm=order.lift_mm)
+    )
     if order.frame:
         if not order.confirmed:
             ask_person(FRAME_QUESTIONS)

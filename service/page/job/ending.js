@@ -2,7 +2,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mark } from "../lib/state.js";
+import { isCut, mark } from "../lib/state.js";
 import { hours, within } from "../lib/words.js";
 import { eyeWords, isFine, isHard } from "./eye_words.js";
 import { unfold } from "./fold.js";
@@ -38,7 +38,7 @@ export function endingPart() {
 
 /** A job's programs that no mill has finished. */
 function unmilledOf(job, runs) {
-  const done = new Set(runs.filter(({ state }) => state === "finished").map(({ program }) => program.number));
+  const done = new Set(runs.filter(isCut).map(({ program }) => program.number));
   return job.programs.filter(({ number }) => !done.has(number));
 }
 

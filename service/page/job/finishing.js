@@ -6,6 +6,7 @@ import { hours, mm } from "../lib/words.js";
 import { eyeWords } from "./eye_words.js";
 import { fold } from "./fold.js";
 import { likenessOf } from "./figures.js";
+import { workClock } from "./work_clock.js";
 
 const WORTH_DB = 0.3;
 
@@ -21,7 +22,7 @@ export function finishingPart() {
     if (!finishing || key === shown) return;
     shown = key;
     title.textContent = t`Finishing by hand: ${finishing.title}`;
-    replace(body, warnings(report).map(warning), figures(report), finishing.steps.length > 0 && howTo(finishing, room?.advice));
+    replace(body, warnings(report).map(warning), figures(report), finishing.minutes > 0 && workClock(job.id, finishing.minutes).node, finishing.steps.length > 0 && howTo(finishing, room?.advice));
   }
   return { node, update };
 }

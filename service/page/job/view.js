@@ -107,6 +107,10 @@ export default async function view(root, params, app) {
   show();
   if (isGoing(first)) listen();
   await load();
+  if (CONTENTS.includes(params.show) && !parts[params.show].node.hidden) {
+    unfold(parts[params.show].node);
+    parts[params.show].node.scrollIntoView();
+  }
   return {
     leave() {
       watched.left = true;

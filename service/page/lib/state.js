@@ -33,6 +33,16 @@ export function mayBeMilled({ state, programs, cancel_requested: givenUp }) {
   return programs.length > 0 && (state === "succeeded" || (state === "running" && !givenUp));
 }
 
+/** Whether a run is a dry pass: its program so much higher, with the spindle off. */
+export function isDry({ lift_mm: lift }) {
+  return Number.isFinite(lift);
+}
+
+/** Whether a mill has cut the program of this run to its end. A dry pass cuts nothing. */
+export function isCut(run) {
+  return run.state === "finished" && !isDry(run);
+}
+
 /** The mark of a job's state; `words` in place of the usual word. */
 export function stateMark(state, words) {
   const [word, kind] = LOOKS[state] ?? [state, "off"];

@@ -3,6 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { isDry } from "../lib/state.js";
 import { ball, thousands } from "../lib/words.js";
 import { enable } from "./refusal_line.js";
 
@@ -64,7 +65,8 @@ function line(check, box, run) {
 }
 
 /** Every program switches the spindle on, which has no effect on one with its own switch. */
-function spindleWords(rpm) {
+function spindleWords(run, rpm) {
+  if (isDry(run)) return t("a dry pass: the spindle stays off");
   return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";
 }
 
@@ -79,7 +81,7 @@ function checkWords(check, run) {
     case "stock":
       return [t("The block is clamped"), stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
     case "clear":
-      return [t("Nothing is in the way of the tool"), [t("hands, clamps, wrenches, the probe's cable; goggles on"), spindleWords(tool?.spindle_rpm)].filter(Boolean).join("; ")];
+      return [t("Nothing is in the way of the tool"), [t("hands, clamps, wrenches, the probe's cable; goggles on"), spindleWords(run, tool?.spindle_rpm)].filter(Boolean).join("; ")];
     case "position":
       return [t("The position shown is where the tool really is"), t("compare the readout with the block")];
     case "order":

@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";
-import { mark } from "../lib/state.js";
+import { isDry, mark } from "../lib/state.js";
 import { ball, hours, percent } from "../lib/words.js";
 import { saveBlob } from "../job/save.js";
 import { refusalLine } from "./refusal_line.js";
@@ -22,7 +22,7 @@ const COLUMNS = {
   operator: ({ operator }) => operator,
   started_at: (run) => run.started_at ?? "",
   ended_at: (run) => run.ended_at ?? "",
-  share_cut: ({ share }) => share,
+  share_cut: (run) => (isDry(run) ? 0 : run.share),
   hours_cut: (run) => (cutSeconds(run) / 3600).toFixed(4),
 };
 
@@ -54,8 +54,8 @@ async function allRuns(machine) {
 }
 
 /** Hours of cutting by the program's own time: holds and nights do not wear a ball. */
-function cutSeconds({ share, time_s: whole }) {
-  return share * (whole ?? 0);
+function cutSeconds(run) {
+  return isDry(run) ? 0 : run.share * (run.time_s ?? 0);
 }
 
 /** All hours, then those of each ball. */
@@ -72,6 +72,7 @@ function stateOf({ state }) {
 
 function factsOf(run) {
   const when = new Date(run.started_at).toLocaleString(locale, { dateStyle: "medium", timeStyle: "short", hourCycle: "h23" });
+  if (isDry(run)) return [when, t("dry pass"), run.operator].filter(Boolean).join(" · ");
   return [when, hours(cutSeconds(run)), run.share < 1 && percent(run.share), run.operator].filter(Boolean).join(" · ");
 }
 

@@ -2,7 +2,7 @@
 
 import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mark, shape } from "../lib/state.js";
+import { isDry, mark, shape } from "../lib/state.js";
 import { percentUnderWay, sentence } from "../lib/words.js";
 import { isHeld, isLive, mills } from "./mills.js";
 import { notifySwitch } from "./notify.js";
@@ -75,7 +75,7 @@ function card(name) {
     write(share, cut ? percentUnderWay(run.share) : "");
     meter.style.visibility = cut ? "visible" : "hidden";
     bar.value = run?.share ?? 0;
-    write(words, [run?.program, whyWords(machine) || (cut && leftWords(run, simulated))].filter(Boolean).join(": "));
+    write(words, [run && (isDry(run) ? t`Dry pass of ${run.program}` : run.program), whyWords(machine) || (cut && leftWords(run, simulated))].filter(Boolean).join(": "));
     write(about, [simulated ? t("Simulated: no real mill moves") : profile?.description, control && t`${control.operator} has control`].filter(Boolean).join(" · "));
   }
   return { node, update };

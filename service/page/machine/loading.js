@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mayBeMilled, shape } from "../lib/state.js";
+import { isCut, mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { addressOf, whyNot } from "./words.js";
@@ -22,8 +22,12 @@ export function loadCard(link, chosen) {
   // A late answer must not replace the program that was chosen meanwhile.
   const passes = h("select", { onchange: () => ((chosen = { job: jobs.value, program: passes.value }), link.changed()) });
   const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, t("Load onto the mill"));
+  const lift = h("input", { type: "number", min: 1, max: 200, step: "any", value: 20, required: true, inputMode: "decimal", oninput: () => link.changed() });
+  const dry = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value, lift.valueAsNumber)) }, t("Load as a dry pass"));
+  const about = h("p", { class: "dim" }, t("The whole program runs so much higher, with spindle and coolant off, and cuts nothing. The pass still has to be cut afterwards."));
+  const dryPart = h("details", { class: "probe" }, h("summary", {}, t("Dry pass")), h("div", { class: "probe-form" }, field(t("Higher by"), h("span", { class: "with-unit" }, lift, h("span", {}, "mm"))), dry), about);
   const reason = h("p", { class: "missing", role: "status" });
-  const form = h("div", { class: "load-form" }, field(t("Job"), jobs), field(t("Program"), passes), load, reason);
+  const form = h("div", { class: "load-form" }, field(t("Job"), jobs), field(t("Program"), passes), load, dryPart, reason);
   const none = h("p", { class: "dim" }, t("No job has programs yet. "), h("a", { href: "#/new" }, t("Make one")), t(": its programs can be loaded here."));
   const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, t("Load a program")), none, form, words.node);
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
@@ -102,7 +106,7 @@ export function loadCard(link, chosen) {
 
   async function finished(id) {
     const { runs } = await api.get(`/v1/runs?machine=${encodeURIComponent(link.name)}&job=${id}&limit=100`);
-    return new Set(runs.filter((run) => run.state === "finished").map((run) => run.program.sha256));
+    return new Set(runs.filter(isCut).map((run) => run.program.sha256));
   }
 
   return {
@@ -116,7 +120,9 @@ export function loadCard(link, chosen) {
       const why = whyNot(link, STANDS, { besideRun: true });
       write(reason, link.machine?.mill?.state === "held" ? why : "");
       load.classList.toggle("primary", nextStep.step === "load" && !nextStep.act);
-      enable([load], why === "" && !link.busy && findPreset() !== null);
+      const able = why === "" && !link.busy && findPreset() !== null;
+      enable([load], able);
+      enable([dry], able && lift.checkValidity());
     },
   };
 }

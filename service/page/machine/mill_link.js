@@ -6,6 +6,7 @@
 import { api } from "../lib/api.js";
 import { t } from "../lib/language.js";
 import { follow } from "../lib/sse.js";
+import { isDry } from "../lib/state.js";
 import { sendGranted } from "./granted.js";
 import { Lease } from "./lease.js";
 import { mills } from "./mills.js";
@@ -125,7 +126,7 @@ export class MillLink {
     try {
       const list = async (limit) => (await api.get(`/v1/runs?machine=${encodeURIComponent(this.name)}&limit=${limit}`)).runs;
       const run = id ? await api.get(`/v1/runs/${id}`) : ((await list(1))[0] ?? null);
-      const before = run?.state === "parked" ? (await list(LOOKED_BACK)).find((one) => one.started_at && one.id !== run.id) : null;
+      const before = run?.state === "parked" ? (await list(LOOKED_BACK)).find((one) => one.started_at && one.id !== run.id && !isDry(one)) : null;
       [this.run, this.before] = [run, before ?? null];
     } catch {
       // asked again with the next status
@@ -179,9 +180,9 @@ export class MillLink {
     this.changed();
   }
 
-  /** Load a program of a job onto the mill, where it waits. Nothing moves. */
-  load(job, program) {
-    return this.runExclusively(() => api.post(`${this.path}/runs`, { job, program }, { headers: this.lease.headers() }));
+  /** Load a program of a job onto the mill, where it waits. Nothing moves. lift_mm: as a dry pass, so much higher. */
+  load(job, program, lift_mm) {
+    return this.runExclusively(() => api.post(`${this.path}/runs`, { job, program, lift_mm }, { headers: this.lease.headers() }));
   }
 
   /** Send an order that can start a motion, or change what a motion means. */

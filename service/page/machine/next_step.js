@@ -4,6 +4,7 @@
  */
 
 import { t } from "../lib/language.js";
+import { isCut, isDry } from "../lib/state.js";
 import { ball, capital, jobName } from "../lib/words.js";
 import { depthInBlock, findForeignAxes, isAtHome, isPlaced, isZeroSet, riseToSafe, isZeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
@@ -14,6 +15,7 @@ const ZERO_XY = { label: t("X and Y = 0 here"), what: "zero", body: { axes: "XY"
 const ZERO_Z = { label: t("Z = 0 here"), what: "zero", body: { axes: "Z" } };
 const LOAD = { label: t("Load"), press: "load" };
 const START = { label: t("Start"), press: "start" };
+const OFF = { label: t("Spindle off"), what: "spindle", body: { on: false } };
 const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
@@ -101,7 +103,8 @@ function findSetupStep(link, load, { ticked, named }) {
   const foreign = findForeignAxes(machine, run, before);
   const place = findPlaceStep(link, foreign);
   if (place) return place;
-  if (ticked && !foreign.includes("Z")) return { ...(named ? makeStep("start", t("start the program."), { act: START }) : makeStep("tick", t("give your name, then start."), { go: "program" })), ...doubt };
+  if (ticked && machine.mill.spindle_on) return makeStep("spindle", t("switch the spindle off."), { act: OFF, bars: t("The spindle turns.") });
+  if (ticked && !foreign.includes("Z")) return { ...(named ? makeStep("start", isDry(run) ? t("start the dry pass: nothing is cut.") : t("start the program."), { act: START }) : makeStep("tick", t("give your name, then start."), { go: "program" })), ...doubt };
   return findZeroStep(machine, run.setup ?? {}, foreign) ?? findOffStep(machine) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }
 
@@ -156,13 +159,13 @@ function findLoadStep(run, { ready, jobs, atWork, preset }) {
   if (none && atWork) return makeStep("wait", t`wait for the running job (${atWork} is done), then load its program here. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
-  if (run?.state === "finished" && !run.next) return makeStep("done", doneWords(run), { go: "load" });
+  if (run && isCut(run) && !run.next) return makeStep("done", doneWords(run), { go: "load" });
   return preset ? makeStep("load", loadWords(run, preset), { act: LOAD }) : makeStep("load", t("load a program."), { go: "load" });
 }
 
 /** Only for the program that is selected in the card. */
 function loadWords(run, { job, job_name: name, program }) {
-  const follows = run?.state === "finished" && run.job === job && run.next?.name === program;
+  const follows = run && isCut(run) && run.job === job && run.next?.name === program;
   return follows ? t`load the next program of ${cutName(name)}, ${program}.` : t`load ${programWords(program, cutName(name))}.`;
 }
 

@@ -7,6 +7,7 @@ import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { at } from "../lib/root.js";
+import { isDry } from "../lib/state.js";
 import { isLive, mills } from "./mills.js";
 import { addressOf, needsHand, standingInShop } from "./words.js";
 
@@ -60,6 +61,7 @@ async function endWords(name) {
   const { runs } = await api.get(`/v1/runs?machine=${encodeURIComponent(name)}&limit=1`, { quiet: true }).catch(() => ({ runs: [] }));
   const [run] = runs;
   if (run?.state !== "finished") return "";
+  if (isDry(run)) return t`The dry pass of ${run.program.name} is over; nothing was cut.`;
   return [t`${run.program.name} is done.`, run.next && t`Next: ${run.next.name}.`].filter(Boolean).join(" ");
 }
 

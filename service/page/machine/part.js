@@ -6,6 +6,7 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { isDry } from "../lib/state.js";
 import { surfaceOf } from "../job/drawing_file.js";
 import { passesOf } from "../job/figures.js";
 import { heightPicture } from "../job/height_map.js";
@@ -40,7 +41,7 @@ export function part(link) {
     draw();
     const { artifacts } = await api.get(`/v1/jobs/${run.job}/artifacts`).catch(() => ({ artifacts: [] }));
     const path = await pathOf(run, artifacts).catch(() => null); // without it there is still the tool on the block
-    const lens = path && (await lensOf(job, run, artifacts).catch(() => null));
+    const lens = path && !isDry(run) && (await lensOf(job, run, artifacts).catch(() => null));
     if (path && shown === run.id) sketch.take(path, run.program.name, lens);
     draw();
   }

@@ -69,10 +69,10 @@ function part(title, ask, fields) {
   return { node, button: ask.button, close: ask.close };
 }
 
-function number(value, { min, max, step }) {
+export function number(value, { min, max, step }) {
   return h("input", { type: "number", min, max, step, value, inputMode: "decimal" });
 }
 
-function field(label, input, unit) {
+export function field(label, input, unit) {
   return h("label", { class: "field" }, h("span", {}, label), h("span", { class: "with-unit" }, input, h("span", {}, unit)));
 }

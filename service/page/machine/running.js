@@ -3,8 +3,9 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mark, shape } from "../lib/state.js";
+import { isCut, isDry, mark, shape } from "../lib/state.js";
 import { ball, percent, sentence, thousands } from "../lib/words.js";
+import { workClock } from "../job/work_clock.js";
 import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
@@ -43,9 +44,9 @@ export function runCard(link) {
   };
   const fill = (run) => {
     const parked = run.state === "parked";
-    list = parked ? checklist(run, { label: t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
+    list = parked ? checklist(run, { label: isDry(run) ? t`Start the dry pass of ${run.program.name}` : t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
     frame = parked ? frameButton(link, words) : null;
-    replace(more, notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
+    replace(more, dryNote(run), notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, isCut(run) && !run.next && afterLast(run));
   };
   return {
     node,
@@ -67,7 +68,8 @@ export function runCard(link) {
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
       if (state.textContent !== word) replace(state, mark(kind, word));
-      write(title, `${programWords(run.program.name, run.job_name)}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
+      const program = programWords(run.program.name, run.job_name);
+      write(title, `${isDry(run) ? t`Dry pass of ${program}` : program}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
       progress.update(run, link.machine?.simulated);
       const stands = link.machine?.mill?.state === "idle";
       const rests = link.machine?.mill?.setup;
@@ -88,8 +90,9 @@ function meter() {
   const line = h("span", {});
   const left = h("span", { class: "left-over" });
   const when = h("p", { class: "when" });
-  const whole = h("p", { class: "whole dim" });
-  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, when, h("div", { class: "row spread" }, line, notifySwitch()), whole);
+  const whole = h("p", { class: "whole" });
+  const wholeBar = h("progress", { class: "thin", max: 1, "aria-label": t("Cut of the whole job") });
+  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, when, h("div", { class: "row spread" }, line, notifySwitch()), whole, wholeBar);
   let [job, passes] = ["", []];
 
   async function learn(id) {
@@ -110,9 +113,33 @@ function meter() {
       write(left, isOver ? "" : leftWords(run, simulated));
       write(when, isOver ? "" : runTimeWords(run, Date.now(), simulated));
       if (run.job !== job) learn(run.job);
-      write(whole, wholeJobWords(findWholeJob(passes, run)));
+      const all = findWholeJob(passes, run);
+      write(whole, wholeJobWords(all));
+      wholeBar.hidden = !all;
+      wholeBar.value = all?.share ?? 0;
     },
   };
+}
+
+/** After the last pass: what is left to do by hand, with its clock. */
+function afterLast(run) {
+  const node = h("div", { class: "stack by-hand" }, h("p", {}, t("That was the last pass: the lens is milled.")));
+  const show = ({ report }) => {
+    const { title, minutes, steps } = report?.finishing ?? {};
+    if (!(minutes > 0)) return;
+    const how = steps.length > 0 && h("a", { href: `#/jobs/${run.job}?show=finishing` }, t("How it is done"));
+    node.append(h("h3", {}, t`Now by hand: ${title}`), workClock(run.job, minutes).node, ...(how ? [how] : []));
+  };
+  api.get(`/v1/jobs/${run.job}`).then(show, () => {}); // without it there is still the run itself
+  return node;
+}
+
+/** Plain words above everything else: this does not make a lens. */
+function dryNote(run) {
+  if (!isDry(run)) return null;
+  const higher = t`Dry pass: the program runs ${run.lift_mm} mm higher, with spindle and coolant off. Nothing is cut.`;
+  const over = t`That was a dry pass, ${run.lift_mm} mm higher: nothing was cut. Load the program again to cut it.`;
+  return h("p", { class: "notice warn dry" }, shape("warn"), h("span", {}, run.state === "finished" ? over : higher));
 }
 
 function notes(run, zeroed) {

@@ -1,4 +1,4 @@
-/** Before a program: home, the work zero by hand or by probe, the way to it, unlock and reset. */
+/** Before a program: home, the work zero by hand or by probe, the way to it, the spindle by hand, unlock and reset. */
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -6,6 +6,7 @@ import { guardedButton } from "./ask.js";
 import { isZeroKnown } from "./place.js";
 import { cornerPart, probePart } from "./probe.js";
 import { enable, refusalLine } from "./refusal_line.js";
+import { spindlePart } from "./spindle.js";
 import { whyNot } from "./words.js";
 
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
@@ -27,6 +28,7 @@ export function setup(link) {
   const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, axes === "XY" ? t("X and Y = 0 here") : t`${axes} = 0 here`));
   const probe = probePart(order);
   const corner = cornerPart(order, () => link.changed());
+  const spindle = spindlePart(order);
   const ways = [
     guardedButton(t("Go to X0 Y0"), {
       words: t("The tool goes up to the safe height, then straight to X0 Y0. Is the way free?"),
@@ -51,6 +53,7 @@ export function setup(link) {
     h("div", { class: "row" }, ways.map((one) => one.node)),
     probe.node,
     corner.node,
+    spindle.node,
     words.node,
   );
   return {
@@ -69,7 +72,8 @@ export function setup(link) {
       corner.update(link.run?.setup);
       enable([corner.button], idle === "" && !link.busy && corner.isWhole);
       enable(ways.map((one) => one.button), idle === "" && !link.busy && isZeroKnown(link.machine, "XYZ"));
-      if (idle) for (const part of [probe, corner, ...ways]) part.close();
+      spindle.update(link, idle === "" && !link.busy);
+      if (idle) for (const part of [probe, corner, spindle, ...ways]) part.close();
       if (notLocked) unlock.close();
     },
   };

@@ -1,6 +1,7 @@
 /** The time of a run and of its whole job: since when, until what time of day, how much of all programs is cut. Pure. */
 
 import { locale, t } from "../lib/language.js";
+import { isDry } from "../lib/state.js";
 import { hours, percent } from "../lib/words.js";
 
 const DAY_S = 86_400;
@@ -20,12 +21,12 @@ function clock(now_ms, left_s) {
 }
 
 /**
- * {number, count, share, left_s} of a job with several programs, by their time; null without that.
+ * {number, count, share, left_s} of a job with several programs, by their time; null without that, and in a dry pass.
  * passes: {file, time_s} in order, as the job's report has them.
  */
 export function findWholeJob(passes, run) {
   const here = passes.findIndex(({ file }) => file === run.program.name);
-  if (here < 0 || passes.length < 2) return null;
+  if (here < 0 || passes.length < 2 || isDry(run)) return null;
   const here_s = run.time_s || passes[here].time_s; // as the mill counts it, like what is left
   const total_s = passes.reduce((sum, one, k) => sum + (k === here ? here_s : one.time_s), 0);
   if (!(total_s > 0)) return null;

@@ -105,7 +105,8 @@ export function specForm({ profiles, onChange, planned }) {
     const faults = new Map();
     const unplaced = [];
     for (const problem of problems) {
-      const found = problem.field.startsWith("spec.") && rowFor(all, problem.field.slice("spec.".length));
+      const key = problem.field.startsWith("spec.") ? problem.field.slice("spec.".length) : "";
+      const found = rowFor(all, key) ?? (valueAt(rest.value([]), key) !== undefined && rest);
       if (found) faults.set(found, [...(faults.get(found) ?? []), problem]);
       else unplaced.push(problem);
     }
@@ -151,7 +152,7 @@ export function specForm({ profiles, onChange, planned }) {
   };
 }
 
-/** The row a key belongs to: its own, that of the table it lies in, or the first shown one of the table that it is. */
+/** The row a key belongs to: its own, or that of the list or table it lies in. Another row would be the wrong one. */
 function rowFor(rows, key) {
   const shown = rows.filter(({ element }) => !element.hidden);
   const parts = key.split(".");
@@ -159,7 +160,7 @@ function rowFor(rows, key) {
     const found = shown.find((one) => one.key === parts.slice(0, length).join("."));
     if (found) return found;
   }
-  return shown.find((one) => one.key.startsWith(`${key}.`));
+  return undefined;
 }
 
 function compareDown(one, other) {

@@ -45,6 +45,7 @@ class RunRow:
 
     id     : empty until the row is stored
     state  : the agent's word, or preparing, refused, lost; reason: `words` as code and values
+    lift_mm: of a dry pass, which cuts nothing; None: the program as it is
     view   : the agent's last report: `as_dict` of machines.runs.RunReport
     away   : no column: why its agent could not be asked now (None: it was asked, or there was no need)
     """
@@ -55,6 +56,7 @@ class RunRow:
     program: str
     number: int
     sha256: str
+    lift_mm: float | None = None
     agent_run: str | None = None
     state: str = PREPARING
     open: bool = True
@@ -175,8 +177,8 @@ class RunBook:
         return self.list_finished_by_mill([job_id]).get((job_id, machine), frozenset())
 
     def list_finished_by_mill(self, job_ids: Collection[str]) -> dict[tuple[str, str], frozenset[str]]:
-        """List by job and mill the hashes of the job's programs that the mill has finished."""
-        query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).distinct()
+        """List by job and mill the hashes of programs that the mill has finished. A dry pass finishes none."""
+        query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).where(runs.c.lift_mm.is_(None)).distinct()
         found: dict[tuple[str, str], frozenset[str]] = {}
         with begin_reading(self._database) as connection:
             for row in connection.execute(query.where(runs.c.job_id.in_(job_ids), runs.c.state == FINISHED)):
@@ -251,7 +253,8 @@ def _get(connection: sa.Connection, run_id: str) -> RunRow:
 
 
 def _first_row(new: RunRow, run_id: str, at: float) -> Json:
-    given = {name: getattr(new, name) for name in ("machine", "job_id", "program", "number", "sha256", "created_by")}
+    names = ("machine", "job_id", "program", "number", "sha256", "lift_mm", "created_by")
+    given = {name: getattr(new, name) for name in names}
     return given | {"id": run_id, "state": PREPARING, "open": True, "created_at": at}
 
 

@@ -227,6 +227,7 @@ runs = Table(
     Column("program", String(100), nullable=False),
     Column("number", Integer, nullable=False),
     Column("sha256", String(64), nullable=False),
+    Column("lift_mm", Float),
     Column("agent_run", String(60)),
     Column("state", String(16), nullable=False),
     Column("open", Boolean, nullable=False),

@@ -127,6 +127,8 @@ class Fleet:
         by: str,
         key: ClientKey | None,
         context: OrderContext,
+        *,
+        lift_mm: float | None = None,
     ) -> tuple[RunView, bool]:
         """Hand a program over. Return the run, and whether it is already parked (False: it is still being prepared)."""
         known = await self._core.find_machine(machine)
@@ -134,7 +136,7 @@ class Fleet:
             await self._core.get_link(known).send_once(
                 "/v1/lease/check", {}, timeout_s=ASK_S, headers=context.headers()
             )
-        run = await self._handovers.begin(known, job_id, program, by, key)
+        run = await self._handovers.begin(known, job_id, program, by, key, lift_mm=lift_mm)
         run = self._core.remember(await self._handovers.finish(run, known))
         return await self._make_view(run), run.state != PREPARING
 

@@ -34,10 +34,18 @@ class Handovers:
         self._untried: set[str] = set()  # runs made here that no agent can know yet
 
     async def begin(
-        self, machine: KnownMachine, job_id: str, wanted: int | str | None, by: str, key: ClientKey | None
+        self,
+        machine: KnownMachine,
+        job_id: str,
+        wanted: int | str | None,
+        by: str,
+        key: ClientKey | None,
+        *,
+        lift_mm: float | None = None,
     ) -> RunRow:
         """Make the run, or find the one that this key has made. Problem if it is not allowed."""
-        asked = hashlib.sha256(repr((machine.name, job_id, wanted)).encode()).hexdigest()
+        what = (machine.name, job_id, wanted) if lift_mm is None else (machine.name, job_id, wanted, lift_mm)
+        asked = hashlib.sha256(repr(what).encode()).hexdigest()
         core = self._core
         if key is not None and (before := await core.do(core.runs.find_made_before, key, asked)) is not None:
             return before
@@ -46,7 +54,7 @@ class Handovers:
             await core.look_at(other)  # it may have ended since the last look
         new = RunRow(
             machine=machine.name, job_id=job_id, program=program.name, number=program.number, sha256=program.sha256,
-            created_by=by,
+            lift_mm=lift_mm, created_by=by,
         )  # fmt: skip
         try:
             run, fresh = await core.do(core.runs.create, new, key, asked)
@@ -132,7 +140,8 @@ class Handovers:
         try:
             await self._bring(link, run)
             posted = True
-            body = {"program": run.sha256, "name": run.program, "key": run.id}
+            body: dict[str, object] = {"program": run.sha256, "name": run.program, "key": run.id}
+            body |= {} if run.lift_mm is None else {"lift_mm": run.lift_mm}
             view = run_view(await link.post("/v1/runs", body, timeout_s=_PREFLIGHT_S), run.machine)
         except Problem as problem:
             await self._refuse(run, problem)

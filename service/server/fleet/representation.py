@@ -153,7 +153,8 @@ class Surroundings:
 def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
     """Return the checks that a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
-        needed = START_CHECKS | ({ORDER} if around.list_left_out(run.number) else frozenset())
+        left_out = run.lift_mm is None and around.list_left_out(run.number)
+        needed = START_CHECKS | ({ORDER} if left_out else frozenset())
     elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and has_started(run):
         needed = RECOVER_CHECKS
     else:
@@ -167,7 +168,8 @@ def has_started(run: RunRow) -> bool:
 
 def make_run_view(run: RunRow, around: Surroundings) -> RunView:
     """Make a whole run."""
-    following, live, setup = around.following(run.number), dict(make_live_run(run)), _set_up(around, run)
+    passed = run.number if run.lift_mm is None else run.number - 1
+    following, live, setup = around.following(passed), dict(make_live_run(run)), _set_up(around, run)
     return RunView(
         **live | {"phrases": live["phrases"] | phrase_views(setup)},
         job=run.job_id,
@@ -209,6 +211,7 @@ def make_live_run(run: RunRow) -> LiveRun:
         open=run.open,
         unreachable=run.away is not None,
         unreachable_words="" if run.away is None else run.away.detail,
+        lift_mm=run.lift_mm,
         recoveries=view.get("recoveries", 0),
         warnings=view.get("warnings", []),
         travel_in_doubt=view.get("travel_in_doubt", False),
@@ -299,6 +302,7 @@ def _open_run(run: RunRow) -> OpenRun:
         state=run.state,
         job=run.job_id,
         program=run.program,
+        lift_mm=run.lift_mm,
         phrases=_phrases(run),
         **_why(run),
         **_how_far(run.view or {}),

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from machines.runs import RunState
 from service.http.schema import Body, Phrases, Sha256, Time, one_of
-from service.milling.api import Check, Code, Values
+from service.milling.api import Check, Code, LiftMm, Values
 from service.server.database.records import LOST, PREPARING, REFUSED
 from service.server.schemas.jobs import JOB_ID
 
@@ -72,6 +72,7 @@ class NewRunBody(Body):
         Annotated[int, Field(ge=1, le=99, strict=True)] | Annotated[str, Field(min_length=1, max_length=100)] | None,
         Field(description="number of the pass, or the program's file name", examples=[1]),
     ] = None
+    lift_mm: LiftMm = None
 
 
 class ProgramOfRun(Body):
@@ -88,12 +89,16 @@ class RunProgress(Body):
     words: Annotated[str, Field(description="why it is in this state")]
     code: Code
     values: Values
-    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
+    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by the time of its lines")]
     executed_line: int
     lines: int | None
     time_s: float | None
     time_left_s: float | None
     operator: str
+    lift_mm: Annotated[
+        float | None,
+        Field(description="a dry pass: so much higher, spindle off. It never counts as cut; null: no dry pass"),
+    ]
     phrases: Phrases
 
 

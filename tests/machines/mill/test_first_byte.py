@@ -24,6 +24,7 @@ ORDERS: dict[str, Callable[[Shop], Callable[[Any], object]]] = {
     "probe": lambda _: lambda mill: mill.command(ProbeZ(depth_mm=10.0)),
     "corner": lambda _: lambda mill: mill.command(CORNER),
     "zero": lambda _: lambda mill: mill.command(SetZero("X")),
+    "spindle": lambda _: lambda mill: mill.switch_spindle(9000.0),
     "block": lambda _: lambda mill: mill.command(SendBlock("G1 X1 F600")),
     "unlock": lambda _: lambda mill: mill.command(Unlock()),
     "check": lambda _: lambda mill: mill.command(CheckMode(True)),

@@ -30,12 +30,13 @@ def test_the_time_left_falls_as_time_passes_and_does_not_jump(tmp_path: Path, bo
     assert Preflight.from_json(facts.to_json()).timeline == facts.timeline and len(facts.timeline) <= KNOTS
     shop.id = shop.mill.park(facts, shop.path, "part").id
     shop.mill.start(shop.id, YES)
-    seen = []
+    seen, begun_s = [], shop.bench.sim.now_s
     while shop.state is not RunState.FINISHED:
         shop.pass_s(2.0)
-        seen.append((shop.bench.sim.now_s, shop.mill.run(shop.id).time_left_s))
+        seen.append((shop.bench.sim.now_s, shop.mill.run(shop.id).time_left_s, shop.mill.run(shop.id).share))
     end_s = seen[-1][0]
-    for now_s, left_s in seen[3:-1]:
+    for now_s, left_s, share in seen[3:-1]:
+        assert share == pytest.approx((now_s - begun_s) / (end_s - begun_s), abs=3 * ROW_S / (end_s - begun_s))
         assert left_s == pytest.approx(end_s - now_s, abs=3 * ROW_S), now_s
     jumps_s = [abs((a[1] - b[1]) - (b[0] - a[0])) for a, b in pairwise(seen[3:-1])]
     assert max(jumps_s) < 3 * ROW_S  # a row counts when a position has proved its end

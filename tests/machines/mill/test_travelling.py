@@ -190,7 +190,7 @@ def test_a_begun_order_has_no_age_but_ends_with_a_stop(tmp_path: Path) -> None:
     shop = Homed(tmp_path)
     permit = shop.mill.orders.redeem(shop.mill.orders.issue_grant().word, "frame")
     permit.note_begun()
-    permit._grant = permit._grant.__class__(word="", issued_s=-1e9, stops=0, lease=None)
+    permit._grant = permit._grant.__class__(word="", issued_s=-1e9, stops=0, halts=0, lease=None)
     permit.require()
     shop.mill.orders.count_stop()
     with pytest.raises(OrderRefusedError):

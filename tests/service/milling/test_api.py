@@ -28,6 +28,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "probe-corner": CORNER,
     "zero": {},
     "override": {"what": "feed", "percent": 90},
+    "spindle": {"on": True, "rpm": 9000.0},
     "check": {"on": True},
     "block": {"text": "G0 X1"},
 }
@@ -76,6 +77,7 @@ def test_a_stop_count_is_never_guessed(stops: object) -> None:
 def test_orders_become_what_the_mill_takes() -> None:
     assert set(GOOD) == set(ORDERS) and not set(ORDERS) & set(PLAIN_ORDERS)
     calls = {"go-to-zero": call.go_to_zero("XYZ", 800.0), "frame": call.frame("ab" * 32, 1000.0)}
+    calls["spindle"] = call.switch_spindle(9000.0)
     for what, expected in calls.items():
         ORDERS[what].model_validate(GOOD[what]).make_act()(mill := Mock())
         assert mill.mock_calls == [expected]
@@ -85,6 +87,11 @@ def test_orders_become_what_the_mill_takes() -> None:
     assert made["probe-corner"] == ProbeCorner(**CORNER, feed_mm_per_min=100.0, aside_mm=20, below_mm=5, retract_mm=5)
     assert (made["zero"], made["override"]) == (SetZero("XYZ"), Override("feed", 90))
     assert (made["block"], PLAIN_ORDERS["home"]()) == (SendBlock("G0 X1"), Home())
+    ORDERS["spindle"].model_validate({"on": False}).make_act()(mill := Mock())
+    assert mill.mock_calls == [call.switch_spindle(None)]
+    for half in ({"on": True}, {"on": False, "rpm": 9000.0}):
+        with pytest.raises(Problem, match="rpm must be above 0"):
+            ORDERS["spindle"].model_validate(half).make_act()
     with pytest.raises(Problem, match="percent is 30; allowed: 25, 50, 100"):
         OverrideBody(what="rapid", percent=30).command()
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -120,29 +121,38 @@ class RunRoutes:
 
     async def park(self, request: Request) -> Response:
         body = await read_body(request, ParkBody)
-        program, key, name = body.program, body.key, body.name or body.program[:12]
+        program, key, name, lift_mm = body.program, body.key, body.name or body.program[:12], body.lift_mm
         path = await self._agent.access.work(lambda: self._agent.store.path_of(program))
         async with self._parking:  # a client that asks again must not overtake itself
-            if (known := self._find_parked(key, program)) is not None:
+            if (known := self._find_parked(key, program, lift_mm)) is not None:
                 return _run_response(known, status=200)
+            if lift_mm is not None:
+                source, name = path, f"{name} +{lift_mm:g} mm"
+                path = await self._agent.access.work(lambda: self._agent.make_dry_pass(source, lift_mm))
             facts: Preflight = await self._agent.access.work(lambda: self._agent.run_preflight(path))
-            run: RunReport = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
+            run: RunReport = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name, body))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
         return _run_response(run, status=201)
 
-    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunReport:
+    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str, body: ParkBody) -> RunReport:
         """Park on the mill's thread, which also runs removals, so that the program is still there once the run is
-        known.
+        known. The copies that earlier dry passes have left are removed.
         """
         self._agent.store.entry(path.stem)
-        return mill.park(facts, path, name)
+        lifted_from = "" if body.lift_mm is None else body.program
+        run = mill.park(facts, path, name, lift_mm=body.lift_mm, lifted_from=lifted_from)
+        needed = {one.program for one in mill.runs if one.state is not RunState.FINISHED}
+        for program in {one.program for one in mill.runs if one.lift_mm is not None} - needed:
+            with contextlib.suppress(Problem):
+                self._agent.store.remove(program)
+        return run
 
-    def _find_parked(self, key: str, program: str) -> RunReport | None:
+    def _find_parked(self, key: str, program: str, lift_mm: float | None) -> RunReport | None:
         """Find the run that this key has parked; a Problem if it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
-        if run is not None and run.program != program:
+        if run is not None and (run.lift_mm, run.lifted_from or run.program) != (lift_mm, program):
             raise Problem(
                 409,
                 Phrase("key '{key}' has parked run {run} of another program; take a new key", key=key, run=run.id),

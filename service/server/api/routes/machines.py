@@ -96,7 +96,9 @@ async def park(
     """
     key = idempotency_key(idempotency_key_header, principal)
     fleet = services_of(request).fleet
-    run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, context)
+    run, parked = await fleet.park(
+        machine, str(body.job), body.program, principal.name, key, context, lift_mm=body.lift_mm
+    )
     response.headers["Location"] = run.links["self"]
     if not parked:
         response.status_code = 202
@@ -139,6 +141,12 @@ _WITH_BODY = {
     ),
     "zero": ("Set the work zero", "From now on the tool stands at zero of these axes."),
     "override": ("Override feed, rapids or spindle", "At once, in the middle of a run too."),
+    "spindle": (
+        "Switch the spindle by hand",
+        "THE SPINDLE TURNS. Only while the mill is idle and no program is under way, within the mill's speeds. It\n"
+        "goes off when control is given back, taken over or lost, and with a hold or an abort. Until it is off no\n"
+        "program starts and nothing is probed.",
+    ),
     "check": ("Switch check mode", "In check mode ($C) the controller reads everything and moves nothing."),
     "block": ("Send one line of G-code", "THE MILL MAY MOVE."),
 }

@@ -34,8 +34,11 @@ ORDERS: dict[str, dict[str, Any]] = {
     "probe-corner": dict.fromkeys(
         ("depth_mm", "plate_mm", "wall_x_mm", "wall_y_mm", "cutter_radius_mm", "margin_mm"), 3
     ),
+    "go-to-zero": {"axes": "XY"},
+    "frame": {"program": "0" * 64},
     "zero": {},
     "override": {"what": "feed", "percent": 90},
+    "spindle": {"on": True, "rpm": 9000},
     "check": {"on": True},
     "block": {"text": "G0 X1"},
 } | {order: {} for order in ("home", "unlock", "reset", "resume", "trust-position", "settings", *map(str, Stop))}

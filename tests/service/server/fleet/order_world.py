@@ -29,7 +29,7 @@ import httpx
 import sqlalchemy as sa
 from greenlet import getcurrent, greenlet
 
-from machines.driver import Driver, MillState, Reset, SetZero, Unlock
+from machines.driver import Driver, MillState, Reset, SetZero, Travel, Unlock
 from machines.errors import MachineError
 from machines.gcode.program import ProgramReader
 from machines.grbl.driver import GrblDriver
@@ -72,13 +72,14 @@ _OVERRIDES = bytes(range(0x90, 0x9E))
 
 @dataclass
 class Act:
-    """The first byte of something that can move the mill is written."""
+    """The first byte of something that can move the mill is written, or of a later leg of a way (`goes_on`)."""
 
     press: int
     what: str
     at_s: float
     lease: str  # digest of who has control now
     seen: str  # digest of plan or set-up as it is now
+    goes_on: bool = False
 
 
 @cache
@@ -244,7 +245,9 @@ class World:
         self.hang_in, self.hang_s = -1, 0.0  # accesses to the disk until it hangs; how long it does
         self.hung = 0
         self.acts: list[Act] = []
-        self._noted: dict[type, object] = {}  # whose first byte has been seen; an override goes beside a stream
+        self._noted: dict[
+            type, tuple[object, str]
+        ] = {}  # what was seen last, and whose; an override goes beside a stream
         self.judged: list[str] = []
         self.loop = _SimulatedLoop(self)
         self.network = MessageNetwork(self.loop)
@@ -329,6 +332,7 @@ class World:
             open_journal=open_journal,
             pause=lambda seconds: self.sim.advance(self.sim.now_s + seconds),
             orders=self.gate,
+            spindle_rpm=self.profile.spindle_rpm,
         )
         mill.watch(self)
         self.mill, self.thread = mill, _OwnedThread(mill, self)
@@ -390,28 +394,33 @@ class World:
             self._note_first(session.streamer.stream if streams else session.commands.command)
 
     def _note_first(self, of: object) -> None:
-        if of is not self._noted.get(type(of)):
-            self._noted[type(of)] = of
-            self._note_act(of)
+        before, origin = self._noted.get(type(of), (None, ""))
+        if of is not before:
+            self._noted[type(of)] = of, self._note_act(of)
+        elif isinstance(of, Travel) and origin:
+            self._add_act(origin, goes_on=True)
 
-    def _note_act(self, of: object) -> None:
-        """Note it if it is of an order: of one that is being carried out, or that was taken before."""
+    def _note_act(self, of: object) -> str:
+        """Note it if it is of an order: of one that is being carried out, or that was taken before. Return whose."""
         last = self.mill._commands._last
         taken = last[1].origin if last is not None and last[0] is of else ""
         if isinstance(of, Stream):
             taken = self.mill.start_origin
-        if not (origin := (self.mill._order.caller.origin or taken)):
-            return  # made ready by us
+        if origin := (self.mill._order.caller.origin or taken):  # else made ready by us
+            self._add_act(origin)
+        return origin
+
+    def _add_act(self, origin: str, *, goes_on: bool = False) -> None:
         lease, number = self.gate.get_lease(), int(origin)
         press = self.people.presses[number]
         seen = self._present(press.what) if press.seen else ""
         digest = lease.digest if lease is not None else ""
-        self.acts.append(Act(number, press.what, self.now_s(), digest, seen))
+        self.acts.append(Act(number, press.what, self.now_s(), digest, seen, goes_on))
 
     def take_acts(self) -> list[Act]:
         """Those that were not judged yet."""
         acts, self.acts = self.acts, []
-        self.judged += [self.people.presses[act.press].what for act in acts]
+        self.judged += [self.people.presses[act.press].what + " goes on" * act.goes_on for act in acts]
         return acts
 
     def note_stop(self, caller: Caller, *, written: bool) -> None:
@@ -463,9 +472,13 @@ class World:
         if mill.status.state is not MillState.IDLE:
             mill.command(Reset() if mill.status.state is MillState.HELD else Unlock())
             self._until(lambda: mill.status.state is MillState.IDLE)
+        if mill._spindle.may_turn:
+            mill.switch_spindle(None)
         self.pass_s(0.5)
-        if what in ("start", "resume run", "resume", "recover"):
+        if what in ("start", "resume run", "resume", "recover", "frame"):
             self.park()
+        if what in ("go-to-zero", "frame"):
+            mill.command(SetZero("XYZ"))
         if what in ("resume run", "resume", "recover"):
             mill.start_origin = ""
             mill.start(self.agent_run, Confirmation("Ada", CHECKS))

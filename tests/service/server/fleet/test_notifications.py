@@ -42,6 +42,7 @@ def mill(
 ) -> MachineView:
     own = MACHINE["mill"] | {"state": state, "alarm": 2}
     fields = {"share": 0.5, "executed_line": 1, "lines": 9, "time_s": 9.0, "time_left_s": 4.0, "operator": "Ada"}
+    fields["lift_mm"] = None
     about = {"id": run, "state": run_state, "job": RUN["job"], "program": "p.nc", "words": "", "code": "", "values": {}}
     agent = MACHINE["agent"] | {"reachable": reachable}
     return MachineView.model_validate(

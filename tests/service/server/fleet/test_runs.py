@@ -98,6 +98,47 @@ def list_untold(answer: Any, known: frozenset[str] = frozenset()) -> Iterator[st
             yield from list_untold(one, known)
 
 
+def test_a_dry_pass_runs_in_the_air_and_never_counts_as_cut(floor: Shop) -> None:
+    job = floor.job((30, 40))
+    dry = floor.park(job, lift_mm=20)
+    assert (dry["lift_mm"], dry["required_checks"], dry["program"]["number"]) == (20.0, CHECKS, 1)
+    assert floor.get(f"/v1/machines/{MACHINE}")["run"]["lift_mm"] == 20.0
+    floor.start(dry)
+    done = floor.until_finished(dry)
+    assert floor.bench.cut == [(x, y, z + 20.0) for x, y, z in ends(30)]
+    assert not any(one.spindle_on for one in floor.bench.mill.recording.cuts())
+    assert (done["next"]["number"], done["share"], done["left_out"]) == (1, 1.0, [])
+    assert not floor.get(f"/v1/machines/{MACHINE}")["mill"]["needs"]  # no tool has cut: there is nothing to touch off
+    second = floor.park(job, program=2, lift_mm=20)
+    assert (second["required_checks"], second["left_out"][0]["number"]) == (CHECKS, 1)
+    floor.post(f"/v1/runs/{second['id']}:abort", 202)
+    real = floor.park(job)
+    assert (real["program"]["number"], real["lift_mm"]) == (1, None)
+    floor.post(f"/v1/runs/{real['id']}:abort", 202)
+    assert floor.park(job, 201, program=2)["required_checks"] == [*CHECKS, "order"]
+
+
+@pytest.mark.parametrize("lift_mm", [0, 0.5, 201, -5, "20", True])
+def test_a_dry_pass_is_high_enough_and_not_beyond_any_mill(floor: Shop, lift_mm: object) -> None:
+    assert floor.park(floor.job((30,)), 422, lift_mm=lift_mm)["field"] == "lift_mm"
+
+
+def test_a_program_that_cannot_be_raised_has_no_dry_pass(floor: Shop) -> None:
+    job = floor.job((30,))
+    floor.server.put_artifact(job, "pass-2-odd.nc", b"G21 G90 G17 G94 G54\nM3 S1000\nG91 G1 X2 F100\nM5\nM2\n")
+    refused = floor.park(job, 422, program=2, lift_mm=20)
+    assert "line 3" in refused["detail"] and "dry pass" in refused["detail"]
+
+
+def test_a_key_is_for_a_dry_pass_or_for_the_program_itself(floor: Shop) -> None:
+    job, key = floor.job((30,)), {"Idempotency-Key": "k"}
+    path = f"/v1/machines/{MACHINE}/runs"
+    first = floor.operator.post(path, json={"job": job, "lift_mm": 20}, headers=key).json()
+    again = floor.operator.post(path, json={"job": job, "lift_mm": 20}, headers=key).json()
+    assert first["id"] == again["id"]
+    assert floor.operator.post(path, json={"job": job}, headers=key).status_code == 422
+
+
 @pytest.mark.thorough
 def test_passes_follow_each_other_and_the_tool_change_is_told(floor: Shop) -> None:
     job = floor.job()
