@@ -513,6 +513,25 @@ def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
 
 
 @pytest.mark.thorough
+def test_a_refusal_stands_at_the_field_that_it_names_or_above_the_button(opened: Opened) -> None:
+    """At the JSON, where the key was typed there; a table that has no row of its own is at no row of it."""
+    page = open_blank(opened, "new", errors=("status of 422",))
+    told = {"spec.optics.light.profile": "it is dark everywhere", "spec.plan": "two aims", "spec": "too much", "": "no"}
+    problems = [{"field": field, "detail": detail} for field, detail in told.items()]
+    answer = {"status": 422, "detail": "see there", "problems": problems}
+    page.route("**/v1/estimates", lambda route: route.fulfill(status=422, json=answer))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    page.get_by_label("Other values, as JSON").fill('{"optics": {"light": {"profile": [[0, 0], [0, 0]]}}}')
+    expect(page.get_by_label("Other values, as JSON")).to_have_accessible_description(
+        re.compile("It is dark everywhere")
+    )
+    expect(page.locator("[aria-invalid=true]")).to_have_count(1)
+    for words in ("two aims", "Too much", "No"):
+        expect(page.locator(".submit-bar")).to_contain_text(re.compile(words, re.IGNORECASE))
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize(("size", "words"), [("phone", "Choose or photograph a picture"), ("wide", "Drop a picture")])
 def test_nobody_is_asked_to_drop_with_a_finger(opened: Opened, size: str, words: str) -> None:
     for address in ("#/new", "#/"):
