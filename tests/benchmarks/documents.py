@@ -33,7 +33,10 @@ BLOCKS = {
     "haze 1 %": "stock.haze_percent=1",
     "haze 5 %": "stock.haze_percent=5",
     "haze 20 %": "stock.haze_percent=20",
-    **{f"back of {um} um": f"stock={{haze_percent=0, back_flatness_mm={um / 1000}, back_period_mm=40}}" for um in (5, 10, 20)},
+    **{
+        f"back of {um} um": f"stock={{haze_percent=0, back_flatness_mm={um / 1000}, back_period_mm=40}}"
+        for um in (5, 10, 20)
+    },
 }
 INDEX_ERROR = 0.0026
 SCREWS = ((0.002, 1.25), (0.005, 2.0))  # error and lead [mm]
@@ -51,18 +54,28 @@ def figures(job: Path | None = None) -> Iterator[Figure]:
     lenses = {}
     for name, colours in LIGHTS.items():
         given = _bench("stock.haze_percent=0", f"optics.light.spectrum={colours}")
-        lenses[name] = design_lens(goal, replace(lens_settings(resolve_spec(), branch="direct"), bench=given)).heightfield
+        lenses[name] = design_lens(
+            goal, replace(lens_settings(resolve_spec(), branch="direct"), bench=given)
+        ).heightfield
         for other, seen in LIGHTS.items():
             bench = _bench("stock.haze_percent=0", f"optics.light.spectrum={seen}")
             yield _figure(f"lens for {name} in {other}", lenses[name], bench, goal)
-    usual = {"lens itself": (lenses["white"], _bench), "finished": (finished, lambda *given: _of(bench_of(spec), _bench(*given)))}
+    usual = {
+        "lens itself": (lenses["white"], _bench),
+        "finished": (finished, lambda *given: _of(bench_of(spec), _bench(*given))),
+    }
     for block, given in BLOCKS.items():
         for what, (lens, bench_for) in usual.items():
             yield _figure(f"{block}, {what}", lens, bench_for(given), goal)
     clear = "stock.haze_percent=0"
     for what, (lens, bench_for) in usual.items():
         bench = bench_for(clear)
-        yield _figure(f"index {INDEX_ERROR} more, {what}", lens, replace(bench, refractive_index=bench.refractive_index + INDEX_ERROR), goal)
+        yield _figure(
+            f"index {INDEX_ERROR} more, {what}",
+            lens,
+            replace(bench, refractive_index=bench.refractive_index + INDEX_ERROR),
+            goal,
+        )
         yield _figure(f"wall 1 % farther, {what}", lens, replace(bench, throw_mm=1.01 * bench.throw_mm), goal)
     for error_mm, lead_mm in SCREWS:
         waved = replace(shaped, z_mm=shaped.z_mm + error_mm * np.sin(2 * np.pi * shaped.y_mm / lead_mm)[:, None])
