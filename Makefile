@@ -13,7 +13,7 @@ TSC := $(VENV)/types/node_modules/typescript/bin/tsc
 # again (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: FORCE demo serve test test-all lint bench soak paper docs release format lock clean
+.PHONY: FORCE demo serve test test-all lint bench soak paper docs docs-pictures release format lock clean
 
 # The locked environments, made again when a lock or the project file changes: the product's packages, then the
 # developers'. By uv, in a tenth of the time that pip takes; by pip if uv or its servers are not available. Only the tests
@@ -101,7 +101,7 @@ lock: $(INSTALLED)
 	$(LOCK) --constraint requirements-dev.lock -o requirements.lock
 	$(LOCK) --extra docs --constraint requirements-dev.lock -o requirements-docs.lock
 	$(LOCK) --extra soak --constraint requirements-dev.lock -o requirements-soak.lock
-	$(LOCK) --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock -o docker/requirements.lock
+	$(LOCK) --extra postgres --extra s3 --extra roland --extra mqtt --constraint requirements-dev.lock -o docker/requirements.lock
 
 # The claims of the paper, with our pictures and figures beside them: docs/paper.md.
 paper: $(READY)
@@ -112,6 +112,12 @@ docs: $(READY)
 	$(call INSTALL_LOCK,requirements-docs.lock)
 	$(BIN)/python -m docs.site out/docs-source
 	$(BIN)/mkdocs build --strict --quiet --config-file out/docs-source/mkdocs.yml
+
+# The pictures of docs/: the page, by the test browser; six lenses, made into $(LENSES) where they are not there yet.
+LENSES ?= out/lenses
+docs-pictures: $(READY)
+	$(BIN)/python -m docs.how_good $(LENSES)
+	$(BIN)/python -m docs.draw_page docs/page
 
 # What goes out, into $(RELEASE): wheel, documents, changelog, bill of materials of the lock, hashes. The wheel's files have
 # the time of the commit, so that the same sources give the same bytes.

@@ -15,8 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
-from typer.cli import get_docs_for_click
 from typer.main import get_command
 
 from service.cli.app import app
@@ -24,61 +22,134 @@ from service.settings import PREFIX, ServerSettings
 
 TOP = Path(__file__).parents[1]
 OPENAPI = TOP / "tests" / "service" / "server" / "api" / "openapi.json"
-NAV: dict[str, str] = {
-    "Home": "index.md",
-    "The first lens": "first-lens.md",
-    "Passes and finish": "passes.md",
-    "Light, frame, shape": "light.md",
-    "Run the mill": "mill.md",
-    "The spindle in a hold": "spindle.md",
-    "Every key of a job": "keys.md",
-    "The page": "page.md",
-    "Server and farm": "server.md",
-    "REST with curl": "rest.md",
-    "Commands": "commands.md",
-    "Settings": "settings.md",
-    "REST reference": "rest-reference.md",
-    "The paper's claims": "paper.md",
-    "Architecture": "architecture.md",
-    "Changes": "changelog.md",
+NAV: dict[str, dict[str, str]] = {
+    "Start": {
+        "Home": "index.md",
+        "Install, five minutes": "start.md",
+        "How good will it be?": "how-good.md",
+        "The page, step by step": "page.md",
+    },
+    "Make": {
+        "The first lens": "first-lens.md",
+        "Passes and finish": "passes.md",
+        "Light, frame, shape": "light.md",
+    },
+    "Mill": {
+        "Run the mill": "mill.md",
+        "Which mills were tried": "hardware.md",
+        "The first Roland": "roland.md",
+        "The spindle in a hold": "spindle.md",
+    },
+    "Shop": {
+        "Server and farm": "server.md",
+        "Dashboards, Home Assistant": "monitoring.md",
+        "REST with curl": "rest.md",
+    },
+    "Look up": {
+        "Every key of a job": "keys.md",
+        "Commands": "commands.md",
+        "Settings": "settings.md",
+        "REST reference": "rest-reference.md",
+        "The paper's claims": "paper.md",
+        "Long trials": "soak.md",
+        "Architecture": "architecture.md",
+        "Changes": "changelog.md",
+    },
 }
+PAGES = [page for pages in NAV.values() for page in pages.values()]
+_THEME = {
+    "name": "material",
+    "font": False,
+    "logo": "icon.svg",
+    "favicon": "icon.svg",
+    "palette": [
+        {"media": f"(prefers-color-scheme: {name})", "scheme": scheme, "primary": "custom", "accent": "custom"}
+        | {"toggle": {"icon": icon, "name": f"Change to {other}"}}
+        for name, scheme, icon, other in (
+            ("light", "default", "material/weather-sunny", "dark"),
+            ("dark", "slate", "material/weather-night", "light"),
+        )
+    ],
+    "features": [
+        *("navigation.tabs", "navigation.top", "navigation.footer", "toc.follow"),
+        *("search.suggest", "search.highlight", "content.code.copy"),
+    ],
+}
+_EXTENSIONS = ["admonition", "attr_list", "md_in_html", "tables", "pymdownx.superfences", {"toc": {"permalink": True}}]
 
 
 def main(folder: Path) -> None:
     pages = folder / "pages"
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(TOP / "docs", pages, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    for picture in ("icon.svg", "jobs/focus.avif"):
+        shutil.copy(TOP / "service" / "page" / picture, pages)
     for source, page in (
-        ("README.md", "index.md"),
+        ("README.md", "start.md"),
         ("ARCHITECTURE.md", "architecture.md"),
         ("CHANGELOG.md", "changelog.md"),
     ):
         text = (TOP / source).read_text(encoding="utf-8")
         (pages / page).write_text(_as_page(text), encoding="utf-8")
-    command = get_command(app)
-    context = click.Context(command, info_name="causticmill")
-    (pages / "commands.md").write_text(
-        get_docs_for_click(obj=command, ctx=context, name="causticmill"), encoding="utf-8"
-    )
-    (pages / "settings.md").write_text("\n".join(_settings_lines()) + "\n", encoding="utf-8")
-    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
-    (pages / "rest-reference.md").write_text("\n".join(_rest_lines(document)) + "\n", encoding="utf-8")
+    _write_lines(pages / "commands.md", _command_lines())
+    _write_lines(pages / "settings.md", _settings_lines())
+    _write_lines(pages / "rest-reference.md", _rest_lines(json.loads(OPENAPI.read_text(encoding="utf-8"))))
     settings = {
         "site_name": "causticmill",
         "docs_dir": "pages",
         "site_dir": str((folder.parent / "docs").absolute()),
-        "use_directory_urls": False,  # it is read from files, without a server
-        "theme": {"name": "material", "font": False},
-        "plugins": ["search"],
-        "nav": [{title: page} for title, page in NAV.items()],
-        "not_in_nav": "soak.md",
+        "theme": _THEME,
+        "extra_css": ["site.css"],
+        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # the plugin's own would come from the web
+        "markdown_extensions": _EXTENSIONS,
+        "plugins": ["search", "offline"],  # it is read from files, without a server
+        "nav": [{part: [{title: page} for title, page in pages.items()]} for part, pages in NAV.items()],
     }
     (folder / "mkdocs.yml").write_text(json.dumps(settings, indent=1), encoding="utf-8")  # JSON is YAML
+
+
+def _write_lines(page: Path, lines: Iterator[str]) -> None:
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _as_page(text: str) -> str:
     """Links as they lead from the site's first folder."""
     return text.replace("](docs/", "](").replace("](ARCHITECTURE.md)", "](architecture.md)")
+
+
+def _command_lines() -> Iterator[str]:
+    """Yield each command with all that its help says; Typer's own page cuts the sentences of its list."""
+    yield "# Commands\n"
+    yield "Exit code 0: all went well. 1: the job or the mill failed. 2: the input cannot be used. 130: Ctrl-C.\n"
+    found = list(_walk(get_command(app), "causticmill"))
+    yield "| command | what it does |\n|---|---|"
+    for command, name in found:
+        yield f"| [`{name}`](#{name.replace(' ', '-')}) | {_help_of(command)[0]} |"
+    for command, name in found:
+        context = command.make_context(name, [], resilient_parsing=True)
+        usage = " ".join([name, *command.collect_usage_pieces(context)])
+        yield "\n\n".join([f"\n## {name}", *_help_of(command), f"```sh\n{usage}\n```\n"])
+        yield "| | |\n|---|---|"
+        for one in command.params:
+            names = one.opts if one.param_type_name == "option" else [one.metavar or one.name.upper()]
+            text = " ".join(str(getattr(one, "help", None) or "").split()).replace("|", "\\|")
+            must = " Must be given." if one.required and one.param_type_name == "option" else ""
+            yield f"| {', '.join(f'`{name}`' for name in names)} | {text}{must} |"
+
+
+def _walk(command: Any, name: str) -> Iterator[tuple[Any, str]]:
+    """Yield the commands below one, without their groups. command: of the click that Typer brings along"""
+    below = getattr(command, "commands", None)
+    if below is None:
+        yield command, name
+    for each, one in (below or {}).items():
+        if not one.hidden:
+            yield from _walk(one, f"{name} {each}")
+
+
+def _help_of(command: Any) -> list[str]:
+    """Return the paragraphs of its help."""
+    return [" ".join(one.split()) for one in (command.help or "").replace("\b", "").strip().split("\n\n")]
 
 
 def describe_settings() -> dict[str, str]:

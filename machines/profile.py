@@ -51,12 +51,13 @@ class UnknownProfileError(LookupError):
 
 
 class ProfileError(MachineError):
-    """A profile file that cannot be used: the message names file, key, value and what is allowed."""
+    """A profile file that cannot be used: the message names file, key, value, what is allowed. key: "" if several."""
 
-    def __init__(self, file: str, text: Phrase) -> None:
+    def __init__(self, file: str, text: Phrase, *, key: str = "") -> None:
         super().__init__(Phrase("{file}: {text}", file=file, text=text))
         self.file = file
         self.text = text
+        self.key = key
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,10 +253,10 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
             safe_z_mm=profile.safe_z_mm,
             travel_mm=profile.travel_mm[2],
         )
-        raise ProfileError(file, words)
+        raise ProfileError(file, words, key="travel_mm.2")
     if profile.top_z_mm is not None and not profile.homing:
         words = Phrase("top_z_mm = {top_z_mm:g}: allowed: only with homing = true", top_z_mm=profile.top_z_mm)
-        raise ProfileError(file, words)
+        raise ProfileError(file, words, key="top_z_mm")
     return profile
 
 
@@ -275,7 +276,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
             return own | tables
         _require_base(name, extends, sources, trail)
     except BadValueError as error:
-        raise ProfileError(file, error.words) from None
+        raise ProfileError(file, error.words, key=error.key) from None
     try:
         base = _read_values(extends, sources, (*trail, name))
     except ProfileError as error:

@@ -24,9 +24,13 @@ class ServiceError(Exception):
 
 
 class InputError(ServiceError):
-    """A value that a person gave cannot be used."""
+    """A value that a person gave cannot be used. field: its name in a request to the API, "" if it has none."""
 
     exit_code = EXIT_INPUT
+
+    def __init__(self, *lines: str, field: str = "") -> None:
+        super().__init__(*lines)
+        self.field = field
 
 
 class SpecError(InputError):
@@ -40,7 +44,7 @@ class SpecError(InputError):
     def rows(self) -> list[dict[str, Any]]:
         """Return the problems as the API sends them."""
         return [
-            {"field": printable(f"spec.{key}"), "detail": printable(sentence)}
+            {"field": "spec" if key == "spec" else printable(f"spec.{key}"), "detail": printable(sentence)}
             | ({"use": self.use[key]} if key in self.use else {})
             for key, sentence in self.problems
         ]

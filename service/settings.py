@@ -56,6 +56,7 @@ class ServerSettings(BaseSettings):
     notify_url        : web address for JSON notices of what needs a person at a mill; None: no notices
     notify_email      : mailbox for the same notices
     smtp_url          : server that sends these mails: smtp://user:password@host:port, or smtps://
+    mqtt_url          : broker by which Home Assistant shows the mills: mqtt://user:password@host, or mqtts://
     cameras           : {"mill": "http://..."}: beside each mill one that sends a JPEG, or a stream of them
     log_level         : the least important lines that are logged
     log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
@@ -92,6 +93,7 @@ class ServerSettings(BaseSettings):
     notify_url: Annotated[str, Field(pattern=r"^https?://\S+$")] | None = None
     notify_email: Annotated[str, Field(pattern=r"^[^@\s]+@[^@\s]+$")] | None = None
     smtp_url: Annotated[str, Field(pattern=r"^smtps?://\S+$")] = "smtp://localhost:25"
+    mqtt_url: Annotated[str, Field(pattern=r"^mqtts?://\S+$")] | None = None
     cameras: dict[str, Annotated[str, Field(pattern=r"^https?://\S+$")]] = {}
     log_level: Literal["debug", "info", "warning"] = "info"
     log_format: Literal["auto", "json", "text"] = "auto"

@@ -26,6 +26,7 @@ TOP = Path(__file__).parents[1]
 README = (TOP / "README.md").read_text(encoding="utf-8")
 GUIDES = ("first-lens", "passes", "light", "mill", "page", "server", "rest", "spindle")
 """Of docs/, in the order in which a person reads them."""
+PAGES = sorted(path.name for path in (TOP / "docs").glob("*.md"))
 ALL = README + "".join((TOP / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in GUIDES)
 ARCHITECTURE = (TOP / "ARCHITECTURE.md").read_text(encoding="utf-8")
 RIDDLE = re.compile(r"\b(?:whoever|whatever|whence|foretold|foretell|told|aslant|anew)\b", re.IGNORECASE)
@@ -107,25 +108,52 @@ def test_guides_and_messages_use_plain_words() -> None:
     tables = [*(TOP / "service/page/languages").rglob("*.json")]
     messages = {key for table in tables for key in json.loads(table.read_text(encoding="utf-8"))}
     assert len(messages) > 2000
-    texts = {re.sub(r"\{\w+\}", "", text) for text in (*messages, *(ALL + ARCHITECTURE).splitlines())}
+    pages = [(TOP / "docs" / name).read_text(encoding="utf-8") for name in PAGES]
+    texts = {
+        re.sub(r"\{\w+\}", "", text) for text in (*messages, *"\n".join([README, ARCHITECTURE, *pages]).splitlines())
+    }
     assert sorted(filter(RIDDLE.search, texts)) == []
 
 
-@pytest.mark.parametrize("file", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}.md" for name in GUIDES)])
+@pytest.mark.parametrize("file", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}" for name in PAGES)])
 def test_linked_files_exist(file: str) -> None:
-    path = TOP / file
+    """Those that `make docs` writes are there only in the site; it refuses a link that leads nowhere."""
+    path, written = TOP / file, {name for name in site.PAGES if name not in PAGES} | {"focus.avif"}
     for target in re.findall(r"\]\(([^)#:]+)\)", path.read_text(encoding="utf-8")):
-        assert (path.parent / target).exists(), target
+        assert target in written or (path.parent / target).exists(), target
+
+
+def test_pictures_of_the_docs_are_small() -> None:
+    """Each page of the docs is read on a phone, too."""
+    pictures = [path for folder in ("page", "how-good") for path in (TOP / "docs" / folder).iterdir()]
+    assert len(pictures) >= 12
+    for path in pictures:
+        assert path.suffix == ".webp" and path.stat().st_size <= 100_000, path
+        assert any(f"]({path.parent.name}/{path.name})" in (TOP / "docs" / name).read_text() for name in PAGES), path
 
 
 def test_the_site_has_every_page_of_docs_every_command_and_every_route(tmp_path: Path) -> None:
     """Built by `make docs`, which refuses a link that leads nowhere."""
     site.main(tmp_path / "source")
     pages = tmp_path / "source" / "pages"
-    assert {page.name for page in pages.glob("*.md")} == {*site.NAV.values(), "soak.md"}
+    assert {page.name for page in pages.glob("*.md")} == set(site.PAGES)
     commands, routes = ((pages / name).read_text(encoding="utf-8") for name in ("commands.md", "rest-reference.md"))
     assert all(f"causticmill {name}" in commands for name in ("make", "stream", "service backup"))
+    assert "..." not in commands.partition("## ")[0]  # no sentence of the list is cut
     assert all(route in routes for route in ("POST /v1/jobs", "GET /v1/jobs/{id}"))
+
+
+def test_likeness_is_stated_only_where_the_bench_measures_it() -> None:
+    """A page that states dB names the section of `make bench` that measures them. Programs write the others."""
+    written = {"paper.md", "how-good.md", "keys.md", "soak.md"}
+    for name in (name for name in PAGES if name not in written):
+        text = (TOP / "docs" / name).read_text(encoding="utf-8")
+        states = re.search(r"\d dB", re.sub(r"about \d dB|more than 0\.3 dB", "", text))  # limits of warnings
+        named = set(re.findall(r"section `(\w+)`", text))
+        assert bool(named) >= bool(states), name
+        assert named <= set(re.findall(r'^    "(\w+)": ', (TOP / "tests/benchmarks/__main__.py").read_text(), re.M)), (
+            name
+        )
 
 
 def test_every_setting_of_the_server_is_described() -> None:

@@ -372,17 +372,26 @@ class _Run:
                 )
             )
         if excess.unreached and (excess.unreached_share > SEEN_SHARE or excess.unreached[0].excess_um > SEEN_UM):
-            highest = excess.unreached[0]
+            highest, share = excess.unreached[0], excess.unreached_share
+            place = Phrase(
+                "it leaves {excess_um:.0f} µm on {area_mm2:.2g} mm² at X{x_mm:.2f} Y{y_mm:.2f}",
+                excess_um=highest.excess_um,
+                area_mm2=highest.area_mm2,
+                x_mm=highest.x_mm,
+                y_mm=highest.y_mm,
+            )
             self.rules.notes.append(
                 Phrase(
-                    "the ball of radius {radius_mm:g} mm cannot reach {percent:.2g} % of the aperture; highest at "
-                    "X{x_mm:.2f} Y{y_mm:.2f}: the ball leaves {excess_um:.1f} µm over {area_mm2:.3g} mm²",
+                    "the ball of radius {radius_mm:g} mm cannot reach {percent:.2g} % of the lens; highest: {place}",
                     radius_mm=self.spec.radius_mm,
-                    percent=100 * excess.unreached_share,
-                    x_mm=highest.x_mm,
-                    y_mm=highest.y_mm,
-                    excess_um=highest.excess_um,
-                    area_mm2=highest.area_mm2,
+                    percent=100 * share,
+                    place=place,
+                )
+                if share > SEEN_SHARE  # less would be read as nothing
+                else Phrase(
+                    "the ball of radius {radius_mm:g} mm does not reach into every crease: {place}",
+                    radius_mm=self.spec.radius_mm,
+                    place=place,
                 )
             )
 

@@ -11,7 +11,7 @@ from typing import Any
 from cam.passes import PassSpec
 from cam.planning.planner import Candidate
 from service.cli.summary import target_line
-from service.errors import InputError, SpecError
+from service.errors import InputError
 from service.job import arrays
 from service.job import files as job_files
 from service.job.errors import translate_errors
@@ -22,7 +22,7 @@ from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import default_layer, load_stored_spec, override_machine, read_spec_file, resolve_job
-from service.job.spec.model import JobSpec, refuse_several_aims
+from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob
 from service.job.spec.tools import load_tools
 from service.wording import RECOGNISABLE_DB, align, duration, likeness_in_words
@@ -114,8 +114,6 @@ def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob
     given = read_spec_file(request.spec) if request.spec is not None else {}
     given.pop("passes", None)
     goal = {key: value for key, value in request.goal.items() if value is not None}
-    if len(goal) > 1:
-        raise SpecError([("plan", refuse_several_aims(goal))])
     overrides = [*request.overrides, *(f"plan.{key}={value!r}" for key, value in goal.items())]
     overrides = [*override_machine(request.machine), *overrides]
     merged = {**base, **given, "preset": "recommended"}

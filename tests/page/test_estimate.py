@@ -80,10 +80,10 @@ def test_the_estimate_says_what_must_be_at_hand(opened: Opened) -> None:
     page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE | answers.pop(0)))
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
-    told = page.get_by_role("region", name="Estimate").locator(".figures")
-    expect(told).to_contain_text("Block80.5 × 120 × 25.5 mm")
-    expect(told).to_contain_text("CuttersCutter Ø 10 mm, Ball Ø 6 mm, Ball Ø 1 mm")
-    expect(told).to_contain_text("Distance to the wall150 mm")
+    told = page.get_by_role("region", name="Estimate").locator(".needs")
+    expect(told).to_contain_text("Block 80.5 × 120 × 25.5 mm")
+    for cutter in ("Cutter Ø 10 mm", "Ball Ø 6 mm", "Ball Ø 1 mm"):
+        expect(told.get_by_text(cutter)).to_have_count(1)
     fill(page, Width="90")
     usual = resolve_spec(preset="draft")
     margin_mm = 2 * usual.stock.margin_mm
@@ -91,7 +91,62 @@ def test_the_estimate_says_what_must_be_at_hand(opened: Opened) -> None:
     expect(told).to_contain_text(
         " × ".join(f"{side:g}" for side in sides) + f" mm{MATERIALS[usual.stock.material].label}"
     )
-    expect(told).to_contain_text(f"Distance to the wall{usual.optics.throw_mm:g} mm")
+
+
+def test_what_is_missing_is_a_shopping_list(opened: Opened) -> None:
+    """Until a person ticks it, or says how large the block is; both are kept for the next job."""
+    page = open_blank(opened, "new")
+    answer = ESTIMATE_EXAMPLE | {"spec": {"preset": "draft", "finish": {"process": "felt"}}, "plans": []}
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=answer))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    estimate = page.get_by_role("region", name="Estimate")
+    expect(estimate.get_by_text("Shopping list: tick what you have")).to_be_visible()
+    for words in ("Ball Ø 6 mm", "Felt and compound"):
+        estimate.get_by_role("checkbox", name=words).check()
+    expect(estimate.get_by_text("Shopping list: 1 of 3 to get")).to_be_visible()
+    block = estimate.get_by_role("checkbox", name="Block 128 × 128 × 40 mm")
+    for length, is_enough in (("110", False), ("130", True)):
+        page.get_by_label("Length and width of the block length").fill("140")
+        page.get_by_label("Length and width of the block width").fill(length)
+        expect(block).to_be_checked(checked=is_enough)
+    expect(estimate.get_by_text("You have all of it")).to_be_visible()
+    expect(page.locator(".own > summary")).to_contain_text("block 140 × 130 × 40 mm")
+    page.evaluate("localStorage.clear()")
+
+
+def test_plans_are_walls_to_choose_from(opened: Opened) -> None:
+    """Figures and wall are those of the chosen one; the job that is sent has its values, the usual one none."""
+    page = open_blank(opened, "new", errors=("status of 422",))
+    quick, usual, sharp = ESTIMATE_EXAMPLE["plans"]
+    walls = [even(level)["wall"] for level in (0.25, 0.5, 0.75)]
+    answer = ESTIMATE_EXAMPLE | {"plans": [p | {"wall": w} for p, w in zip((quick, usual, sharp), walls, strict=True)]}
+    sent: list[Any] = []
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=answer))
+
+    def take(route: Route) -> None:
+        sent.append(parts(route)[0])
+        route.fulfill(status=422, json={"status": 422, "detail": "enough for this test"})
+
+    page.route("**/v1/jobs", take)
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    plans = page.get_by_role("group", name="Plans to choose from").get_by_role("radio")
+    expect(plans).to_have_count(3)
+    expect(plans.nth(1)).to_be_checked()
+    expect(plans.nth(0)).to_have_accessible_name("1 h 13 min quickest then 2 h 1 min by hand 96 % alike")
+    for number, (plan, hours) in enumerate(((quick, "1 h 13 min"), (usual, "2 h 13 min"), (sharp, "8 h 1 min"))):
+        plans.nth(number).check()
+        expect(page.get_by_role("region", name="Estimate")).to_contain_text(f"Machine time{hours}")
+        grey = round(255 * float(linear_to_srgb(np.array((0.25, 0.5, 0.75)[number]))))
+        if plan is not usual:
+            page.wait_for_function(f"() => ({GREY})('canvas.wall').every((one) => Math.abs(one - {grey}) <= 1)")
+        with page.expect_response("**/v1/jobs"):
+            make_it(page).click()
+        assert sent[-1].get("passes") == (None if plan is usual else plan["spec"]["passes"])
+        assert sent[-1]["preset"] == "recommended"
+    fill(page, Width="50")
+    expect(plans.nth(2)).to_be_disabled()
 
 
 GREY = """(name) => {
@@ -308,7 +363,7 @@ def test_what_is_worked_out_exactly_is_not_asked_again(opened: Opened) -> None:
     for width, hours in ((None, "10 h"), ("50", "5 h"), ("100", "10 h")):
         if width is not None:
             fill(page, Width=width)
-        expect(line).to_have_text(re.compile(f"About {hours} of milling, details"))
+        expect(line).to_have_text(re.compile(f"About {hours} of milling, then"))
     assert asked == ["100", "100 exactly", "50", "50 exactly"]
 
 

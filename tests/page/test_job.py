@@ -282,7 +282,7 @@ WALL = """async (viewedFrom) => {
     const grid = { nx: 2, ny: 2, x0: 0, y0: 0, dx: 10, dy: 10, z0: -1, dz: 1, steps: [0, 0, 0, 0] };
     const picture = lensPicture(canvas, grid);
     picture.showWall(shown, { screen: { width: 40, height: 40 }, shift: [0, 0], throw_mm: 30, viewedFrom });
-    picture.draw({ yaw: viewedFrom === "lens" ? 0 : Math.PI, pitch: 0, distance: 1.9, stretch: 1, wall: true });
+    picture.draw({ yaw: viewedFrom === "lens" ? 0 : Math.PI, pitch: 0, distance: 1.9, wall: true });
     const flat = new OffscreenCanvas(200, 200).getContext("2d");
     flat.drawImage(canvas, 0, 0);
     const { data } = flat.getImageData(0, 0, 200, 200), sums = [0, 0, 0];
@@ -382,29 +382,24 @@ def test_a_deleted_job_is_gone_after_a_question(opened: Opened) -> None:
 
 
 @pytest.mark.thorough
-def test_a_plan_is_taken_by_click_and_by_key(opened: Opened) -> None:
+def test_a_slider_goes_through_the_plans(opened: Opened) -> None:
     job, files = canned()
     planned = with_plan(job, 4)
     page = shown(opened, planned, files)
-    points, chosen = page.get_by_role("radio", name="will blur"), page.locator(".plan-chosen")
-    expect(points).to_have_count(len(PLAN_HOURS))
+    slider, chosen = page.get_by_role("slider", name="Plans, quickest first"), page.locator(".plan-chosen")
     expect(chosen).to_contain_text("This is the plan of this job,")
-    boxes = "dots => dots.map((dot) => dot.getBoundingClientRect()).map(({x, y}) => [x, -y])"
-    places = page.locator("[role=radio] .plan-dot").evaluate_all(boxes)  # all at once: pictures that come move the page
-    assert len(places) == len(PLAN_HOURS)
-    assert places == sorted(places) and [y for _, y in places] == sorted(y for _, y in places), "longer and better"
-    expect(points.nth(2)).to_have_accessible_name(re.compile("this job's plan"))
-    points.nth(0).click()
+    expect(slider).to_have_value("2")
+    expect(slider).to_have_attribute("max", str(len(PLAN_HOURS) - 1))
+    slider.press("Home")
     expect(chosen).to_contain_text("12 min")
+    expect(slider).to_have_attribute("aria-valuetext", re.compile("^12 min, .* % alike$"))
     expect(chosen).to_contain_text("Fine hair is lost.")
     link = chosen.get_by_role("link", name="Make this job")
     expect(link).to_have_attribute("href", f"#/new?from={planned['id']}&plan=0")
-    points.nth(0).press("ArrowRight")
-    expect(points.nth(1)).to_be_focused()
+    slider.press("ArrowRight")
+    expect(slider).to_be_focused()
     expect(link).to_have_attribute("href", f"#/new?from={planned['id']}&plan=1")
-    for _ in range(3):
-        page.get_by_role("button", name="Sharper").click()
-    expect(points.nth(4)).to_have_attribute("aria-checked", "true")
+    slider.press("End")
     expect(chosen).to_contain_text("every 0.1 mm")
 
 

@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
-from service.job.picture.linear_light import invert_tones, linear_to_srgb, srgb_to_linear
 from service.job.spec.loading import DEFAULT_JOB, resolve_spec
 from service.job.spec.model import JobSpec
 from service.wording import likeness_in_words
@@ -124,25 +123,6 @@ def test_a_key_that_is_new_in_the_spec_has_its_row(watched: Callable[..., Watche
     with page.expect_response(lambda one: b"wall_tilt_deg" in (one.request.post_data_buffer or b"")):
         field.fill("12")
     assert asked[-1]["optics"] == {"wall_tilt_deg": 12}
-
-
-def test_tones_are_those_of_the_server(modules: Page) -> None:
-    """Light of pixels, its negative, and back to grey: the same sums on both sides."""
-    colours = np.random.default_rng(7).integers(0, 256, (200, 4), dtype=np.uint8)
-    colours[:2, :3] = [[0] * 3, [255] * 3]
-    script = """async ([colours, tone, invert]) => {
-        const tones = await import("/page/new/tones.js");
-        const light = tones.lightOf(new Uint8ClampedArray(colours), {tone, invert});
-        return [[...light], [...tones.greyOf(light)].filter((_, at) => at % 4 === 0)];
-    }"""
-    for tone in ("srgb", "linear"):
-        values = colours[:, :3] / 255.0
-        linear = (srgb_to_linear(values) if tone == "srgb" else values) @ [0.2126, 0.7152, 0.0722]
-        for invert in (False, True):
-            wanted = invert_tones(linear, tone) if invert else linear
-            light, grey = modules.evaluate(script, [colours.ravel().tolist(), tone, invert])
-            assert np.allclose(light, wanted, atol=2e-6)
-            assert np.abs(np.array(grey) - 255 * linear_to_srgb(wanted)).max() < 1.0
 
 
 def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: list[Any]) -> None:
@@ -321,7 +301,7 @@ def test_another_plan_is_a_click_away_from_its_own_job(opened: Opened) -> None:
         route.fulfill(status=422, json={"detail": "enough for this test"})
 
     page.route("**/v1/jobs", take)
-    page.get_by_role("radio", name="will blur").first.click()
+    page.get_by_role("slider", name="Plans, quickest first").press("Home")
     page.get_by_role("link", name="Make this job").click()
     expect(page.get_by_text("with another plan")).to_contain_text(other["words"])
     make_it(page).click()
@@ -420,12 +400,16 @@ def test_a_new_job_begins_with_mill_block_and_finish_of_the_last_one(opened: Ope
     choose(page, picture())
     finish = page.get_by_label("Finished by hand")
     expect(finish.locator("option:checked")).to_have_text("yes, as shows most")  # as a command begins
-    fill(page, Thickness_of_the_block="12", Width="33")
+    fill(page, Thickness_of_the_block="12", Width="33", Distance_to_the_wall="200")
     finish.select_option("felt and compound")
     page.evaluate(TAKES_EVERY_JOB)
     make_it(page).click()
     expect(page.get_by_role("heading", level=1, name="New job")).to_have_count(0)
     page.goto("/#/new")
+    expect(page.locator(".own > summary")).to_have_text(
+        "What you have shop · block 12 mm thick · Parallel · wall at 200 mm · felt and compound"
+    )
+    expect(page.locator(".own")).not_to_have_attribute("open", "")
     expect(page.get_by_label("Thickness of the block")).to_have_value("12")
     expect(finish.locator("option:checked")).to_have_text("felt and compound")
     expect(page.get_by_label("Width", exact=True)).to_have_value("100")

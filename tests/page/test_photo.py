@@ -66,7 +66,7 @@ def test_the_test_piece_is_that_of_the_chosen_machine_and_its_figures_go_into_th
 
     page.route("**/v1/estimates", note)
     choose(page, picture())
-    piece = page.locator("details.coupon")
+    piece = page.locator("details", has_text="Measure your mill and your finish").last
     piece.locator("summary").click()
     archive = piece.get_by_role("link", name="Programs and sheet")
     expect(archive).to_have_attribute("href", f"/v1/profiles/{NAME}/coupon.zip")

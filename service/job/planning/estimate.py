@@ -8,13 +8,12 @@ as the picture, planned like a job's.
 
 from __future__ import annotations
 
-from base64 import b64encode
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import ceil, hypot, sqrt
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,6 @@ from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
-from optics.irradiance import picture_from_irradiance
 from optics.lens_settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
 from phrases.phrase import Phrase, phrases_in
@@ -41,7 +39,6 @@ from service.job.errors import translate_errors
 from service.job.files import AFTER_PASSES, FACE
 from service.job.picture import PictureLimits
 from service.job.picture.decoding import decode_picture
-from service.job.picture.light_png import picture_png
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
@@ -50,7 +47,7 @@ from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import FinishDesigns, compute_passes, form_of, simplify
 from service.job.planning.planner import plan_for_picture
-from service.job.planning.predicted_light import PictureLight, PredictedPicture, describe_light
+from service.job.planning.predicted_light import PictureLight, PredictedPicture, describe_light, draw_wall
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
 from service.job.spec.cutting import MIN_FLOOR_MM
@@ -64,13 +61,11 @@ from service.job.spec.lens_task import (
     warn_of_reflection,
     with_branch,
 )
-from service.job.spec.model import JobSpec
+from service.job.spec.model import JobSpec, PassRow
 from service.job.spec.resolve import ResolvedJob, cam_passes_of, digits_of, warn_of_removal, with_plan
-from service.job.stages.kept_plans import NO_PLANS, KeptPlans
+from service.job.stages.kept_plans import NO_PLANS, KeptPlans, PlanChoice
 from service.wording import ball, cutter
 
-WALL_PIXELS = 256
-"""Along the longer side of the picture of the wall, at most."""
 MOST_PIXELS = 512
 """Of the compared picture, at most: finer detail hardly affects recognition."""
 PIXELS = 96
@@ -91,6 +86,7 @@ class QuickLens:
     planned  : whether they were planned
     seconds  : of each pass, if the plan knows them
     see      : returns the predicted picture, if the plan knows it
+    choices  : plans to choose from, if the job itself was planned
     settings : of the job's own lens
     aim      : (ny, nx) coarse target
     missed   : (ny, nx) its light minus the aim
@@ -100,6 +96,7 @@ class QuickLens:
     planned: bool
     seconds: tuple[float, ...]
     see: Callable[[], PredictedPicture] | None
+    choices: Sequence[PlanChoice]
     settings: LensSettings
     design: LensDesign
     facts: LensFacts
@@ -145,7 +142,7 @@ def estimate(
         quick = quick_lens(job, targets[0], None if exactly else whole, plans)
         passes = _with_around(quick.job, list(_hours(quick)))
         seen = _predict_picture(quick, whole, exactly=exactly)
-        blur = _blur(quick, seen)
+        blur = _blur(quick, 0.0 if seen is None else seen.detail_mm)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
     refusals = list(_refusals(quick))
@@ -163,8 +160,9 @@ def estimate(
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,
         "seen_db": None if seen is None else seen.seen_db,
-        "wall": None if seen is None else _draw_wall(seen, spec.optics.viewed_from),
+        "wall": None if seen is None else draw_wall(seen, spec.optics.viewed_from),
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
+        "plans": list(_plan_rows(quick, own_px_mm, passes)),
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*warnings, *_warnings(quick), *blur.words(own_px_mm)])),
         "changes": [asdict(change) for change in changes_of(job, detail_mm)],
@@ -220,10 +218,11 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: Kept
     """
     seconds: tuple[float, ...] = ()
     see: Callable[[], PredictedPicture] | None = None
+    choices: Sequence[PlanChoice] = ()
     is_planned = job.spec.to_be_planned
     if is_planned and whole is None:
         made = plans.make(job, target, at_once=True)
-        job, see = job.with_spec(with_plan(job.spec, {"plan": made.figures})), made.see
+        job, see, choices = job.with_spec(with_plan(job.spec, {"plan": made.figures})), made.see, made.choices
     elif is_planned:
         planned = plan_for_picture(job, target, whole=whole)
         job, seconds = job.with_spec(with_plan(job.spec, {"plan": planned.settings()})), planned.chosen.seconds
@@ -240,6 +239,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: Kept
         planned=is_planned,
         seconds=seconds,
         see=see,
+        choices=choices,
         settings=settings,
         design=design,
         facts=measure_lens(lens),
@@ -293,6 +293,27 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
     return [*first, *passes, *last]
 
 
+def _plan_rows(quick: QuickLens, own_px_mm: float, own: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the plans to choose from, in the API's form; own: the passes of the estimate itself."""
+    for one in quick.choices:
+        specs = tuple(PassRow.model_validate(row) for row in one.spec["passes"])
+        job = quick.job.with_spec(quick.spec.model_copy(update={"passes": specs}))
+        rows = zip(one.spec["passes"], one.seconds, strict=True)
+        timed = [{"name": spec["name"], "tool": cutter(spec), "hours": seconds / 3600} for spec, seconds in rows]
+        passes = own if one.is_chosen else _with_around(job, timed)
+        yield {
+            "is_chosen": one.is_chosen,
+            "hours": sum(row["hours"] for row in passes),
+            "hand_min": one.spec["finish"].get("minutes"),
+            "passes": passes,
+            "psnr_db": one.psnr_db,
+            "seen_db": one.seen_db,
+            "smallest_detail_mm": max(own_px_mm, _blur(quick, one.detail_mm).detail_mm),
+            "wall": one.wall,
+            "spec": one.spec,
+        }
+
+
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array, *, made_rows: int) -> float:
     """Return the seconds of a later pass; depth_mm (ny, nx): the stock that it takes off."""
     form, machine = quick.form, quick.job.machine
@@ -337,12 +358,13 @@ class Blur:
             yield Phrase("details under {detail_mm:.2g} mm will blur: the tool's marks", detail_mm=self.detail_mm)
 
 
-def _blur(quick: QuickLens, seen: PredictedPicture | None) -> Blur:
+def _blur(quick: QuickLens, marks_mm: float) -> Blur:
+    """Return the blur of a lens; marks_mm: the smallest detail that the tool's marks leave."""
     disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
     return Blur(
         milling_mm=_blur_of_milling_mm(quick),
         light_mm=disc_mm / 4 * sqrt(2),
-        detail_mm=hypot(0.0 if seen is None else seen.detail_mm, _WIDTH * disc_mm / 4),
+        detail_mm=hypot(marks_mm, _WIDTH * disc_mm / 4),
     )
 
 
@@ -374,13 +396,6 @@ def _predict_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Predi
     if not exactly:
         finished.look_at(marks, design)
     return describe_light(finished, marks)
-
-
-def _draw_wall(seen: PredictedPicture, viewed_from: Literal["lens", "behind"]) -> str:
-    """Return a PNG of the wall as a data URL, as the viewer sees it, exposed like a job's pictures."""
-    picture = picture_from_irradiance(seen.light, viewed_from=viewed_from)
-    packed = picture_png(picture, white=float(seen.target.max()), side=WALL_PIXELS)
-    return f"data:image/png;base64,{b64encode(packed).decode()}"
 
 
 def _find_finish(quick: QuickLens) -> PassSpec | None:

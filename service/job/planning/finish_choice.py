@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import groupby
+from math import inf
 
 import numpy as np
 
@@ -20,8 +22,9 @@ from service.job.spec.finish_library import Process, say
 from service.job.spec.lens_task import build_finish
 from service.job.spec.resolve import ResolvedJob
 
-_NEAR = 6  # steps of _FINER within which one lens represents the finish
-_FINER = 1.12  # ratio of the minutes of two neighbouring trials
+_FINER = 1.12  # ratio of the minutes of two neighbours among the finishes
+_NEAR = 3  # neighbours on either side for which one lens stands
+_MOST_TRIALS = 4  # lenses beside the first of each process
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: outside, no picture or no finish is left
 _WORTH_DB = 0.1
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, but longer work still levels visible marks in even areas
@@ -93,8 +96,9 @@ def plan_finish(
     exactly: bool,
     margin_mm: float,
 ) -> FinishedPlan:
-    """Return the best plan of all finishes whose tool reaches the rims, or of all finishes if none does. For one of the
-    best of each process, a lens corrects the first guesses.
+    """Return the best plan of all finishes whose tool reaches the rims, or of all finishes if none does.
+
+    A lens corrects the guess of one finish of each process, then of the best one, as long as no similar lens has.
 
     exactly    : also simulate the best with a lens as fine as the picture
     candidates : plans of milling, whose time and marks are reused; those with a rest pass are skipped
@@ -106,18 +110,30 @@ def plan_finish(
     reaching = {light: _select_with_room(rows, light, margin_mm) for _, light in ways}
     ways = [way for way in ways if reaching[way[1]]] or ways
     rows_of = {light: reaching[light] or rows for _, light in ways}
-    for process in dict.fromkeys(one.process for one, _ in ways):
-        alike = [way for way in ways if way[0].process == process]
-        first = best_of(_plan_all(rows_of, left_out, alike[::_NEAR], goal), goal)
-        first.light.calibrate(first.plan.chosen.marks, design)
-        share_calibration(first, ways)
+    lights, tried = [light for _, light in ways], set[int]()
+
+    def try_best_of(numbers: Iterable[int]) -> FinishedPlan:
+        """Return the best plan of these finishes; a lens corrects its guess where no similar one has."""
+        best = best_of(_plan_all(rows_of, left_out, [ways[number] for number in numbers], goal), goal)
+        number = lights.index(best.light)
+        if find_nearest(number, ways, tried, within=_NEAR) is None:
+            best.light.calibrate(best.plan.chosen.marks, design)
+            tried.add(number)
+            trust_nearest(ways, tried)
+        return best
+
+    for _, alike in groupby(range(len(ways)), lambda number: ways[number][0].process):
+        try_best_of(alike)
+    for _ in range(_MOST_TRIALS):
+        before = len(tried)
+        best = try_best_of(range(len(ways)))
+        if len(tried) == before:
+            break
+    else:
+        best = try_best_of(sorted(tried))
     if not exactly:
-        best = best_of(_plan_all(rows_of, left_out, ways[::_NEAR], goal), goal)
-        at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
-        chosen = best_of(_plan_all(rows_of, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
-        chosen.light.look_at(chosen.plan.chosen.marks, design)
-        return chosen
-    best = find_best(_plan_all(rows_of, left_out, ways, goal), goal)
+        best.light.look_at(best.plan.chosen.marks, design)
+        return best
     best.light.calibrate(best.plan.chosen.marks, design, fine=True)
     (found,) = _plan_all(rows_of, left_out, [(best.finishing, best.light)], goal)
     for one in found.plan.front:
@@ -126,13 +142,22 @@ def plan_finish(
     return found
 
 
-def share_calibration(calibrated: FinishedPlan, ways: Iterable[tuple[Finishing, FinishedLight]]) -> None:
-    """Apply the corrections of one finish to others of the same process: places that one tool does not reach give no
-    information about other tools.
+def trust_nearest(ways: Sequence[tuple[Finishing, FinishedLight]], tried: Collection[int]) -> None:
+    """Apply to each finish the corrections of the nearest that was tried, of the same process: places that one tool
+    does not reach give no information about other tools.
     """
-    for finishing, light in ways:
-        if finishing.process == calibrated.finishing.process and light is not calibrated.light:
-            light.trust(calibrated.light)
+    for number, (_, light) in enumerate(ways):
+        nearest = find_nearest(number, ways, tried)
+        if nearest is not None and number not in tried:
+            light.trust(ways[nearest][1])
+
+
+def find_nearest(
+    number: int, ways: Sequence[tuple[Finishing, FinishedLight]], tried: Collection[int], *, within: float = inf
+) -> int | None:
+    """Return which of the tried finishes of the same process is nearest in the list, if one is that near."""
+    alike = (one for one in tried if ways[one][0].process == ways[number][0].process and abs(one - number) <= within)
+    return min(alike, key=lambda one: abs(one - number), default=None)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:

@@ -42,6 +42,12 @@ class Planned:
     def chosen(self) -> Candidate:
         return self.plan.chosen
 
+    @property
+    def choices(self) -> list[Candidate]:
+        """Return the quickest, the chosen and the best candidate, each once, quickest first."""
+        wanted = (self.plan.quickest, self.chosen, self.plan.best)
+        return [one for one in self.plan.front if one in wanted]
+
     def picture(self, candidate: Candidate) -> Array:
         """Return the predicted light (ny, nx) on the screen of a candidate of the plan's front, work frame."""
         return self._pictures[self.plan.front.index(candidate)]

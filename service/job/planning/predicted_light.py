@@ -11,10 +11,12 @@ part for X times a part for Y. The best candidates' lenses are then designed aga
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
+from typing import Literal
 
 import numpy as np
 from scipy.fft import dctn, idctn
@@ -28,11 +30,15 @@ from cam.planning.row_slopes import RowSlopes, chord_grain, row_grain
 from optics.bench import Bench
 from optics.foreseen import sharpen
 from optics.heightfield import Array
+from optics.irradiance import picture_from_irradiance
 from optics.metrics import CausticScore, psnr_db, score_caustic, seen_db, smallest_detail_mm
 from optics.threads import thread_count
+from service.job.picture.light_png import picture_png
 from service.job.picture.resampling import resize
 from service.job.planning.waves import Waves, compute_lost_when_sharpened, yx_spreads
 
+WALL_PIXELS = 256
+"""Along the longer side of the picture of the wall, at most."""
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
 _SEEN_PIXELS = 0.25  # blur along the rows; less is not worth sharpening
 
@@ -351,6 +357,13 @@ def describe_light(light: PictureLight, marks: Marks) -> PredictedPicture:
         seen_db=seen_db(seen, light.target),
         detail_mm=smallest_detail_mm(seen, light.target, light.pixel_mm[1]),
     )
+
+
+def draw_wall(seen: PredictedPicture, viewed_from: Literal["lens", "behind"]) -> str:
+    """Return a PNG of the wall as a data URL, as the viewer sees it, exposed like a job's pictures."""
+    picture = picture_from_irradiance(seen.light, viewed_from=viewed_from)
+    packed = picture_png(picture, white=float(seen.target.max()), side=WALL_PIXELS)
+    return f"data:image/png;base64,{b64encode(packed).decode()}"
 
 
 def waves_of(picture: Array) -> Array:

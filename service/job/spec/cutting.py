@@ -102,11 +102,11 @@ class PassRow(Section):
         if self.pitch_mm > self.radius_mm:
             raise RuleError(
                 Phrase(
-                    "pitch_mm = {pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to "
-                    "radius_mm = {radius_mm:g}",
+                    "{pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to radius_mm = {radius_mm:g}",
                     pitch_mm=self.pitch_mm,
                     radius_mm=self.radius_mm,
-                )
+                ),
+                at="pitch_mm",
             )
         return self
 
@@ -116,34 +116,36 @@ class PassRow(Section):
         if corner_mm is not None and corner_mm > self.radius_mm:
             raise RuleError(
                 Phrase(
-                    "corner_radius_mm = {corner_mm:g} is more than the cutter's; allowed: 0 (flat) to "
-                    "radius_mm = {radius_mm:g} (a ball)",
+                    "{corner_mm:g} is more than the cutter's; allowed: 0 (flat) to radius_mm = {radius_mm:g} (a ball)",
                     corner_mm=corner_mm,
                     radius_mm=self.radius_mm,
-                )
+                ),
+                at="corner_radius_mm",
             )
         roughs = self.stock_to_leave_mm > 0 and self.strategy == "raster" and self.where == "everywhere"
         if not self.is_ball and not roughs:
             raise RuleError(
                 Phrase(
-                    "corner_radius_mm = {corner_mm:g} is not a ball, and only a ball can finish a lens; allowed: "
-                    'with stock_to_leave_mm above 0, strategy = "raster" and where = "everywhere"',
+                    "{corner_mm:g} is not a ball, and only a ball can finish a lens; allowed: with stock_to_leave_mm "
+                    'above 0, strategy = "raster" and where = "everywhere"',
                     corner_mm=corner_mm,
-                )
+                ),
+                at="corner_radius_mm",
             )
         return self
 
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         if self.where == "rest" and self.strategy == "contour":
-            raise RuleError(Phrase('where = "rest" goes with rows only; allowed: strategy = "raster"'))
+            raise RuleError(Phrase('"rest" goes with rows only; allowed: strategy = "raster"'), at="where")
         if self.shank_radius_mm is not None and self.flute_length_mm is None:
             raise RuleError(
                 Phrase(
-                    "shank_radius_mm = {radius_mm:g} has no effect without the height at which the shank begins; "
-                    "allowed: with flute_length_mm",
+                    "{radius_mm:g} has no effect without the height at which the shank begins; allowed: with "
+                    "flute_length_mm",
                     radius_mm=self.shank_radius_mm,
-                )
+                ),
+                at="shank_radius_mm",
             )
         return self
 
@@ -171,10 +173,11 @@ class FaceSpec(Section):
         if self.pitch_mm is not None and self.pitch_mm > most_mm:
             raise RuleError(
                 Phrase(
-                    "pitch_mm = {pitch_mm:g} leaves stock between the rows; allowed: 0.01 to {most_mm:g}",
+                    "{pitch_mm:g} leaves stock between the rows; allowed: 0.01 to {most_mm:g}",
                     pitch_mm=self.pitch_mm,
                     most_mm=most_mm,
-                )
+                ),
+                at="pitch_mm",
             )
         return self
 
@@ -239,15 +242,15 @@ class StockSpec(Section):
     clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None
 
 
-def cut_out_fault(
+def require_cut_out(
     cut_out: CutOutSpec,
     corners: Sequence[Sequence[float]],
     *,
     size_mm: tuple[float, float],
     margin_mm: float,
     thickness_mm: float,
-) -> Phrase | None:
-    """Return why the lens cannot be cut out so, with the numbers; None if it can.
+) -> None:
+    """Raise RuleError if the lens cannot be cut out so, at its key of the job.
 
     corners : of the lens in the work frame; size_mm: width and height of the aperture
     """
@@ -258,9 +261,8 @@ def cut_out_fault(
     if room_mm < need_mm:
         thinner = (room_mm - FRAME_MM) / 2
         words = Phrase(
-            "stock.margin_mm = {margin_mm:g} leaves {room_mm:.4g} mm beside the lens, but the cutter of radius "
-            "{radius_mm:g} mm needs {need_mm:g} mm: its slot and {frame_mm:g} mm of frame; allowed: a margin of at "
-            "least {least_mm:.4g}",
+            "{margin_mm:g} leaves {room_mm:.4g} mm beside the lens, but the cutter of radius {radius_mm:g} mm needs "
+            "{need_mm:g} mm: its slot and {frame_mm:g} mm of frame; allowed: a margin of at least {least_mm:.4g}",
             margin_mm=margin_mm,
             room_mm=room_mm,
             radius_mm=cut_out.radius_mm,
@@ -268,26 +270,26 @@ def cut_out_fault(
             frame_mm=FRAME_MM,
             least_mm=margin_mm + need_mm - room_mm,
         )
-        if thinner <= 0:
-            return words
-        return Phrase("{allowed}, or stock.cut_out.radius_mm up to {most_mm:.4g}", allowed=words, most_mm=thinner)
+        if thinner > 0:
+            words = Phrase("{allowed}, or stock.cut_out.radius_mm up to {most_mm:.4g}", allowed=words, most_mm=thinner)
+        raise RuleError(words, at="stock.margin_mm")
     if cut_out.tabs and cut_out.tab_height_mm > thickness_mm / 2:
-        return Phrase(
-            "stock.cut_out.tab_height_mm = {height_mm:g} is more than half the block; allowed: at most {most_mm:g}",
+        words = Phrase(
+            "{height_mm:g} is more than half the block; allowed: at most {most_mm:g}",
             height_mm=cut_out.tab_height_mm,
             most_mm=thickness_mm / 2,
         )
+        raise RuleError(words, at="stock.cut_out.tab_height_mm")
     around_mm = sum(dist(a, b) for a, b in pairwise([*corners, corners[0]]))
     if cut_out.tabs * (cut_out.tab_width_mm + 2 * cut_out.radius_mm) > around_mm:
-        return Phrase(
-            "stock.cut_out.tabs = {count} of {width_mm:g} mm do not fit around {around_mm:.0f} mm of outline; allowed: "
-            "at most {most}",
+        words = Phrase(
+            "{count} of {width_mm:g} mm do not fit around {around_mm:.0f} mm of outline; allowed: at most {most}",
             count=cut_out.tabs,
             width_mm=cut_out.tab_width_mm,
             around_mm=around_mm,
             most=int(around_mm / (cut_out.tab_width_mm + 2 * cut_out.radius_mm)),
         )
-    return None
+        raise RuleError(words, at="stock.cut_out.tabs")
 
 
 class MachineSpec(Section):

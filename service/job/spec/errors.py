@@ -27,11 +27,18 @@ def as_spec_error(error: ValidationError) -> SpecError:
     count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
     details = [detail for detail in details if detail["loc"] not in inner]  # a list of bad rows is "too short" as well
-    problems = [(join_place(detail["loc"]), _sentence(detail)) for detail in details]
+    problems = [(_key_at_fault(detail), _sentence(detail)) for detail in details]
     limits = {join_place(one["loc"]): bound for one in details for bound in _bounds(one)}
     if count > MOST_PROBLEMS:
         problems.append(("spec", Phrase("{count} more problems like these", count=count - MOST_PROBLEMS)))
     return SpecError(list(dict.fromkeys(problems)), limits)
+
+
+def _key_at_fault(detail: ErrorDetails) -> str:
+    """Return the key that a person should change: of a rule about a whole table, the one that the rule names."""
+    error = detail.get("ctx", {}).get("error")
+    at = error.at.split(".") if isinstance(error, RuleError) and error.at else ()
+    return join_place((*detail["loc"], *at))
 
 
 def _bounds(detail: ErrorDetails) -> Iterator[float]:

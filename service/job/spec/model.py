@@ -5,14 +5,13 @@ One pydantic model; unknown keys are errors and the defaults make a complete job
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import reduce
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from phrases.phrase import Phrase
-from service.job.spec.cutting import MachineSpec, PassRow, StockSpec, cut_out_fault
+from service.job.spec.cutting import MachineSpec, PassRow, StockSpec, require_cut_out
 from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LightSpec
 from service.job.spec.optics import OpticsSpec
@@ -114,12 +113,6 @@ class ImageSpec(Section):
         return value
 
 
-def refuse_several_aims(names: Iterable[str]) -> Phrase:
-    """Return the sentence about several keys of `plan`."""
-    aims = reduce(lambda names, name: Phrase("{names} and {name}", names=names, name=name), names)
-    return Phrase("{aims} cannot all be aimed at; allowed: one of them", aims=aims)
-
-
 class PlanSpec(Section):
     """The goal of preset "recommended", at most one: machine time to stay within, blur to stay under, or PSNR to reach
     in the least time. Without a goal: nearly the best picture in the least time.
@@ -149,7 +142,8 @@ class PlanSpec(Section):
     def _one_thing(self) -> Self:
         given = [name for name, value in self.model_dump().items() if value is not None]
         if len(given) > 1:
-            raise RuleError(refuse_several_aims(given))
+            aims = reduce(lambda names, name: Phrase("{names} and {name}", names=names, name=name), given)
+            raise RuleError(Phrase("{aims} cannot all be aimed at; allowed: one of them", aims=aims), at=given[-1])
         return self
 
 
@@ -181,7 +175,7 @@ class JobSpec(Section):
     def _rest_of_something(self) -> Self:
         if self.passes and self.passes[0].where == "rest":
             raise RuleError(
-                Phrase('passes.0.where = "rest" has no pass before it; allowed: "everywhere" for the first')
+                Phrase('"rest" has no pass before it; allowed: "everywhere" for the first'), at="passes.0.where"
             )
         return self
 
@@ -191,11 +185,11 @@ class JobSpec(Section):
             if not row.is_ball:
                 raise RuleError(
                     Phrase(
-                        "passes.{number}.corner_radius_mm = {radius_mm:g} follows a pass that has cut the shape; "
-                        "allowed: in the first pass, a ball after it",
-                        number=number,
+                        "{radius_mm:g} follows a pass that has cut the shape; allowed: in the first pass, a ball "
+                        "after it",
                         radius_mm=row.corner_radius_mm,
-                    )
+                    ),
+                    at=f"passes.{number}.corner_radius_mm",
                 )
         return self
 
@@ -204,15 +198,13 @@ class JobSpec(Section):
         if self.stock.cut_out is None:
             return self
         width_mm, height_mm = self.optics.width_mm, self.optics.height_mm
-        fault = cut_out_fault(
+        require_cut_out(
             self.stock.cut_out,
             self.optics.outline_mm or [[0.0, 0.0], [width_mm, 0.0], [width_mm, height_mm], [0.0, height_mm]],
             size_mm=(width_mm, height_mm),
             margin_mm=self.stock.margin_mm,
             thickness_mm=self.stock.thickness_mm,
         )
-        if fault is not None:
-            raise RuleError(fault)
         return self
 
     @property
@@ -247,15 +239,16 @@ class JobSpec(Section):
             width_mm, height_mm = self.optics.screen_size_mm
             raise RuleError(
                 Phrase(
-                    "image.pixels = {pixels} on a screen of {width_mm:g} x {height_mm:g} mm makes {rows} rows; "
-                    "allowed: {least} to {most}",
+                    "{pixels} on a screen of {width_mm:g} x {height_mm:g} mm makes {rows} rows; allowed: {least} to "
+                    "{most}",
                     pixels=self.image.pixels,
                     width_mm=width_mm,
                     height_mm=height_mm,
                     rows=self.pixel_rows,
                     least=16,
                     most=MAX_PIXELS,
-                )
+                ),
+                at="image.pixels",
             )
         return self
 
@@ -272,16 +265,17 @@ class JobSpec(Section):
             }
             raise RuleError(
                 Phrase(
-                    "optics.vertices_per_pixel = {each} with {pixels} pixels along a side and creases makes a lens of "
-                    "{vertices} vertices; allowed: at most {most}",
+                    "{each} with {pixels} pixels along a side and creases makes a lens of {vertices} vertices; "
+                    "allowed: at most {most}",
                     **values,
                 )
                 if self.optics.creases
                 else Phrase(
-                    "optics.vertices_per_pixel = {each} with {pixels} pixels along a side makes a lens of {vertices} "
-                    "vertices; allowed: at most {most}",
+                    "{each} with {pixels} pixels along a side makes a lens of {vertices} vertices; allowed: at most "
+                    "{most}",
                     **values,
-                )
+                ),
+                at="optics.vertices_per_pixel",
             )
         return self
 

@@ -237,17 +237,19 @@ class OpticsSpec(Section):
     def _suits_the_lens(cls, light: LightSpec, info: ValidationInfo) -> LightSpec:
         if info.data.get("method") == "paper" and (light.distance_mm is not None or not light.even):
             raise RuleError(
-                Phrase("only parallel, even light is possible with optics.method = 'paper'; 'transport' allows all")
+                Phrase("only parallel, even light is possible with optics.method = 'paper'; 'transport' allows all"),
+                at="kind" if light.distance_mm is not None else "profile" if light.profile else "gaussian_mm",
             )
         least = _LEAST_GAUSSIAN * max(info.data.get("width_mm", 0.0), info.data.get("height_mm", 0.0))
         if light.gaussian_mm is not None and light.gaussian_mm < least:
             raise RuleError(
                 Phrase(
-                    "gaussian_mm = {width_mm:g} leaves the rim of the lens dark; allowed: at least {least_mm:g} mm, "
-                    "half the longer side",
+                    "{width_mm:g} leaves the rim of the lens dark; allowed: at least {least_mm:g} mm, half the longer "
+                    "side",
                     width_mm=light.gaussian_mm,
                     least_mm=least,
-                )
+                ),
+                at="gaussian_mm",
             )
         return light
 

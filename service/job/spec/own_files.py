@@ -72,14 +72,14 @@ def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
             value=repr(values.get("extends")),
             allowed=", ".join(built_in),
         )
-        raise InputError(words)
+        raise InputError(words, field="extends")
     text = format_toml(values)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / file.name).write_text(text, "utf-8")
         try:
             profile = load_profile(name, (Path(folder),))
         except ProfileError as error:
-            raise InputError(error.text) from None
+            raise InputError(error.text, field=error.key) from None
     write_own_file(file, text)
     return profile
 
@@ -97,13 +97,13 @@ def read_stated_profiles() -> dict[str, dict[str, Any]]:
 
 def _require_free(name: str) -> Path:
     if name in profile_names(()):
-        raise InputError(Phrase("'{name}' is a built-in profile; choose another name", name=name))
+        raise InputError(Phrase("'{name}' is a built-in profile; choose another name", name=name), field="profile")
     file = require_own_file(f"machines/{name}.toml")
     if file.exists() and _parse_statement(file) is None:
         words = Phrase(
             "the profile '{name}' was written by hand; change it in its file, {file}", name=name, file=f"{name}.toml"
         )
-        raise InputError(words)
+        raise InputError(words, field="profile")
     return file
 
 

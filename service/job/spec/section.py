@@ -87,11 +87,15 @@ def state_units(schema: dict[str, Any]) -> None:
 
 
 class RuleError(ValueError):
-    """A value that only our own validator refuses, and why."""
+    """A value that only our own validator refuses, and why.
 
-    def __init__(self, words: Phrase) -> None:
+    at : the key at fault below what was validated, for a rule about several keys of a table
+    """
+
+    def __init__(self, words: Phrase, *, at: str = "") -> None:
         super().__init__(words)
         self.words = words
+        self.at = at
 
 
 def none_or_from(least: float) -> AfterValidator:

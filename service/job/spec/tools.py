@@ -85,7 +85,8 @@ def _tools_of(path: Path, data: dict[str, Any]) -> tuple[Tool, ...]:
     names = [tool.name for tool in tools]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(
-            Phrase("{path}: name = {name}: allowed: a name that no other tool has", path=path, name=repr(twice))
+            Phrase("{path}: name = {name}: allowed: a name that no other tool has", path=path, name=repr(twice)),
+            field="tools",
         )
     return tuple(sorted(tools, key=lambda tool: (tool.radius_mm, tool.cost_class, tool.name)))
 
@@ -105,7 +106,8 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
             if is_wrong:
                 raise BadValueError(key, row[key], allowed)
     except BadValueError as error:
-        raise InputError(Phrase("{place}: {cause}", place=place, cause=error.words)) from None
+        words = Phrase("{place}: {cause}", place=place, cause=error.words)
+        raise InputError(words, field=f"tools.{index - 1}.{error.key}") from None
     return tool
 
 

@@ -22,17 +22,18 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cam.planning.planner import Candidate
 from optics.heightfield import Array
 from optics.polish import Polished
 from phrases.phrase import Phrase, phrases_in, restore
 from service.errors import FailedError, InputError
 from service.job import arrays
 from service.job.arrays import npz_bytes
-from service.job.files import HEIGHTFIELD, MAP, PLAN, write_bytes
+from service.job.files import HEIGHTFIELD, MAP, PLAN, plain, write_bytes
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import Progress, plan_for_lens, plan_for_picture
-from service.job.planning.predicted_light import PredictedPicture, describe_light
+from service.job.planning.predicted_light import PredictedPicture, describe_light, draw_wall
 from service.job.planning.sentences import blur_warnings
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.resolve import ResolvedJob
@@ -46,6 +47,23 @@ _STAGE = "passes"
 _KEPT_BYTES = 200_000_000  # of all plans; one of a 512 x 512 picture takes 3 MB
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanChoice:
+    """One of the plans that a person chooses from.
+
+    spec    : the values that select it, merged into the job's section by section
+    wall    : its light, a data URL; the other figures are those of this light
+    """
+
+    is_chosen: bool
+    seconds: tuple[float, ...]  # of each pass
+    spec: dict[str, Any]
+    psnr_db: float
+    seen_db: float
+    detail_mm: float
+    wall: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MadePlan:
     """A plan for its users, whether made now or read from a file.
@@ -54,6 +72,7 @@ class MadePlan:
     notes   : of the passes, for the setup sheet
     draw    : returns plan.png
     see     : returns what the wall will show
+    choices : the quickest, the chosen and the best plan, each once, quickest first
     polished: the lens for its finish, which the next stage need not make again
     """
 
@@ -61,6 +80,7 @@ class MadePlan:
     notes: list[Phrase]
     draw: Callable[[], bytes]
     see: Callable[[], PredictedPicture]
+    choices: tuple[PlanChoice, ...] = ()
     polished: Polished | None = None
 
 
@@ -112,7 +132,21 @@ def describe_plan(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -
         notes=blur_warnings(planned, milled_next=True),
         draw=draw,
         see=lambda: describe_light(planned.light, planned.chosen.marks),
+        choices=tuple(_describe_choice(planned, one, viewed_from) for one in planned.choices),
         polished=planned.polished,
+    )
+
+
+def _describe_choice(planned: Planned, one: Candidate, viewed_from: Literal["lens", "behind"]) -> PlanChoice:
+    seen = describe_light(planned.light, one.marks)
+    return PlanChoice(
+        is_chosen=one is planned.chosen,
+        seconds=one.seconds,
+        spec=plain(planned.fragment(one)),
+        psnr_db=seen.psnr_db,
+        seen_db=seen.seen_db,
+        detail_mm=seen.detail_mm,
+        wall=draw_wall(seen, viewed_from),
     )
 
 
@@ -121,15 +155,16 @@ def _load(path: Path, target: Array) -> MadePlan | None:
     try:
         with np.load(path, allow_pickle=False) as stored:
             words, picture, light, lens = (stored[name] for name in ("words", "picture", "light", "lens"))
-        plain = json.loads(words.tobytes())
-        seen = PredictedPicture(light=light, target=target, **plain["seen"])
-        found = restore(plain["plan"], plain["phrases"])
+        stored_words = json.loads(words.tobytes())
+        seen = PredictedPicture(light=light, target=target, **stored_words["seen"])
+        found = restore(stored_words["plan"], stored_words["phrases"])
         os.utime(path)  # in use: see `forget_oldest`
         return MadePlan(
             figures=found["figures"],
             notes=found["notes"],
             draw=picture.tobytes,
             see=lambda: seen,
+            choices=tuple(PlanChoice(**one | {"seconds": tuple(one["seconds"])}) for one in stored_words["choices"]),
             polished=arrays.load_polished(io.BytesIO(lens)) if lens.size else None,
         )
     except (InputError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
@@ -142,7 +177,8 @@ def _keep(path: Path, made: MadePlan) -> bytes:
     light = seen.pop("light")
     del seen["target"]  # the caller has it already
     plan = {"figures": made.figures, "notes": made.notes}
-    words = json.dumps({"plan": plan, "phrases": phrases_in(plan), "seen": seen}).encode()
+    choices = [asdict(one) for one in made.choices]
+    words = json.dumps({"plan": plan, "phrases": phrases_in(plan), "seen": seen, "choices": choices}).encode()
     lens = b"" if made.polished is None else arrays.polished_bytes(made.polished)
     files = {"words": words, "picture": picture, "lens": lens}
     kept = {"light": light, **{name: np.frombuffer(data, np.uint8) for name, data in files.items()}}

@@ -21,6 +21,12 @@ export function isFine(seenDb) {
   return seenDb >= EYE[2][0];
 }
 
+/** "94 % alike": the correlation of picture and target; more digits where more of them are nines. */
+export function alikeWords(seenDb) {
+  const percent = 100 * (1 - 10 ** (-seenDb / 10)), places = percent < 97 ? 0 : percent < 99.7 ? 1 : 2;
+  return t`${Math.max(0, Math.floor(percent * 10 ** places) / 10 ** places)} % alike`;
+}
+
 /** The word for a likeness. */
 export function eyeWords(seenDb) {
   return EYE.find(([least]) => seenDb >= least)?.[1] ?? t("not known");

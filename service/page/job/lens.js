@@ -10,7 +10,7 @@ import { heightPicture } from "./height_map.js";
 import { lensPicture } from "./lens_gl.js";
 import { lensStage } from "./lens_stage.js";
 import { extremes, heightAt, heightColour } from "./surface.js";
-import { whenSeen } from "./when_seen.js";
+import { whenSeen } from "../lib/when_seen.js";
 
 const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"]; // what the wall will show, as far as it is known
 

@@ -4,13 +4,12 @@ import { extremes, triangles, vertices, walls } from "./surface.js";
 import { wallCorners, wallPicture } from "./wall_gl.js";
 
 const VERTEX = `#version 300 es
-uniform mat4 u_view; uniform float u_stretch; uniform float u_middle; uniform bool u_upright;
-layout(location = 0) in vec3 a_point; layout(location = 1) in vec3 a_slope;
-out vec3 v_point; out vec2 v_slope; out float v_bulge;
+uniform mat4 u_view; uniform float u_middle; uniform bool u_upright;
+layout(location = 0) in vec3 a_point; layout(location = 1) in vec2 a_slope;
+out vec3 v_point; out vec2 v_slope;
 void main() {
-  v_point = vec3(a_point.xy, (a_point.z - u_middle) * u_stretch);
-  v_slope = a_slope.xy * u_stretch;
-  v_bulge = a_slope.z;
+  v_point = vec3(a_point.xy, a_point.z - u_middle);
+  v_slope = a_slope;
   gl_Position = u_view * vec4(u_upright ? vec3(-v_point.x, v_point.z, v_point.y) : v_point, 1.0);
 }`;
 
@@ -19,21 +18,22 @@ void main() {
 const FRAGMENT = `#version 300 es
 precision highp float;
 uniform vec3 u_eye; uniform bool u_wall;
-in vec3 v_point; in vec2 v_slope; in float v_bulge; out vec4 colour;
+in vec3 v_point; in vec2 v_slope; out vec4 colour;
 vec3 room(vec3 way) { // a dark room: a window, a floor lamp, a pale floor
   float window = smoothstep(0.25, 0.55, dot(way, normalize(vec3(-0.6, -0.35, 0.72))));
   float lamp = smoothstep(0.80, 0.97, dot(way, normalize(vec3(0.8, 0.45, 0.4))));
-  return vec3(0.020, 0.026, 0.034) + window * vec3(0.62, 0.76, 0.92) + lamp * vec3(1.0, 0.82, 0.52) + max(-way.z, 0.0) * vec3(0.05, 0.055, 0.06);
+  return vec3(0.025) + window * vec3(0.80, 0.83, 0.85) + lamp * vec3(1.0, 0.90, 0.72) + max(-way.z, 0.0) * vec3(0.05);
 }
 void main() {
   vec3 normal = u_wall ? normalize(cross(dFdx(v_point), dFdy(v_point))) : normalize(vec3(-v_slope, 1.0));
   vec3 to_eye = normalize(u_eye - v_point);
   if (dot(normal, to_eye) < 0.0) normal = -normal;
   float facing = dot(normal, to_eye), fresnel = 0.04 + 0.96 * pow(1.0 - facing, 5.0);
-  vec3 through = room(refract(-to_eye, normal, 1.0 / 1.49)) * vec3(0.80, 0.93, 0.97);
-  float edge = u_wall ? 0.07 + 0.30 * pow(1.0 - facing, 2.0) : 0.05 + 0.22 * abs(2.0 * v_bulge - 1.0);
-  vec3 light = fresnel * room(reflect(-to_eye, normal)) * 1.4 + 0.13 * through + edge * vec3(0.34, 0.52, 0.62);
-  colour = vec4(light, clamp(max(light.r, max(light.g, light.b)), 0.0, 1.0));
+  vec3 through = room(refract(-to_eye, normal, 1.0 / 1.49));
+  float bends = u_wall ? 0.0 : length(fwidth(v_slope)) / max(length(fwidth(v_point.xy)), 1e-6); // per mm: where light is gathered or spread
+  float shine = u_wall ? 0.07 + 0.30 * pow(1.0 - facing, 3.0) : 0.6 * clamp(2.5 * bends, 0.0, 0.6);
+  vec3 light = fresnel * room(reflect(-to_eye, normal)) + 0.08 * through + shine * vec3(0.97, 1.0, 0.98);
+  colour = vec4(light, 0.5 * clamp(max(light.r, max(light.g, light.b)), 0.0, 1.0));
 }`;
 
 /**
@@ -49,12 +49,12 @@ export function lensPicture(canvas, grid) {
   const relief = Math.max(high - low, 1e-6);
   const corners = triangles(grid.nx, grid.ny), block = walls(grid, low - Math.max(relief * 0.5, size * 0.04));
   const back = floorOf(block);
-  const surface = array(gl, vertices(grid), 6), sides = array(gl, new Float32Array([...block, ...back]), 3);
+  const surface = array(gl, vertices(grid), 5), sides = array(gl, new Float32Array([...block, ...back]), 3);
   gl.bindVertexArray(surface);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
   const at = (name) => gl.getUniformLocation(program, name);
-  const [view, eye, stretch, wall] = ["u_view", "u_eye", "u_stretch", "u_wall"].map(at);
+  const [view, eye, wall] = ["u_view", "u_eye", "u_wall"].map(at);
   const [middle, upright] = ["u_middle", "u_upright"].map(at);
   let scene = null;
   gl.enable(gl.DEPTH_TEST);
@@ -77,7 +77,6 @@ export function lensPicture(canvas, grid) {
     gl.useProgram(program);
     gl.uniformMatrix4fv(view, false, matrix);
     gl.uniform3fv(eye, shown ? [-from[0], from[2], from[1]] : from);
-    gl.uniform1f(stretch, shown ? 1 : look.stretch);
     gl.uniform1f(middle, shown?.middle ?? (low + high) / 2);
     gl.uniform1i(upright, shown ? 1 : 0);
     gl.enable(gl.BLEND); // each side of the block adds its light to what is behind it
@@ -103,7 +102,7 @@ function floorOf(block) {
   return [left, front, z, right, front, z, right, rear, z, left, front, z, right, rear, z, left, rear, z];
 }
 
-/** Vertices of so many floats each: a point and, if there are 6, slope and bulge after it. */
+/** Vertices of so many floats each: a point and, if there are 5, its slope after it. */
 function array(gl, data, floats) {
   const made = gl.createVertexArray();
   gl.bindVertexArray(made);
@@ -111,9 +110,9 @@ function array(gl, data, floats) {
   gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
   gl.enableVertexAttribArray(0);
   gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * floats, 0);
-  if (floats === 6) {
+  if (floats === 5) {
     gl.enableVertexAttribArray(1);
-    gl.vertexAttribPointer(1, 3, gl.FLOAT, false, 24, 12);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 20, 12);
   }
   return made;
 }

@@ -7,7 +7,6 @@ const START = { yaw: -0.6, pitch: 0.62, distance: 2.15 };
 const WITH_WALL = { yaw: -0.7, pitch: 0.3, distance: 2.2 };
 const TURN_PER_S = 0.25;
 const PER_PIXEL = 0.008;
-const STRETCHES = [1, 2, 4];
 const FRAME_MS = 33;
 const SLOW_MS = 120;
 const SLOW_FRAMES = 12; // in a row, after which a browser without graphics hardware is spared
@@ -19,18 +18,14 @@ export function lensStage(grid, make) {
   let picture = make(canvas, grid);
   if (!picture) return null;
   const still = matchMedia("(prefers-reduced-motion: reduce)");
-  const look = { ...START, stretch: 1, wall: false };
+  const look = { ...START, wall: false };
   let turns = !still.matches, hung = null, seen = false, frame = 0, last = 0, slow = 0, freed = false;
 
   const spin = h("button", { type: "button", onclick: () => setTurning(!turns) });
-  const stretch = h(
-    "select", { "aria-label": t("Height"), onchange: () => ((look.stretch = Number(stretch.value)), ask()) },
-    STRETCHES.map((by) => h("option", { value: by }, by === 1 ? t("true height") : t`height × ${by}`)),
-  );
   const front = () => (Object.assign(look, startOf()), ask());
   const wall = h("button", { type: "button", hidden: true, onclick: () => setWall(!look.wall) }, t("With the wall"));
   const reset = h("button", { type: "button", onclick: front }, t("Front"));
-  const node = h("div", { class: "lens-stage" }, canvas, h("div", { class: "row lens-tools" }, wall, spin, reset, stretch));
+  const node = h("div", { class: "lens-stage" }, canvas, h("div", { class: "row lens-tools" }, wall, spin, reset));
 
   function setTurning(on) {
     turns = on;
@@ -45,7 +40,6 @@ export function lensStage(grid, make) {
   function setWall(on) {
     look.wall = on;
     wall.setAttribute("aria-pressed", String(on));
-    stretch.hidden = on;
     front();
   }
   function ask() {

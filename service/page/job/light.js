@@ -8,7 +8,7 @@ import { focusSentence, isSharpened } from "./figures.js";
 import { fold } from "./fold.js";
 import { gestures } from "./gestures.js";
 import { beamCount, beamsOf, lightPicture, settingOf } from "./light_gl.js";
-import { whenSeen } from "./when_seen.js";
+import { whenSeen } from "../lib/when_seen.js";
 
 const DESIGNED = "light.bin";
 const SURFACES = [

@@ -144,12 +144,12 @@ export function beamCount(lens, setting) {
   return Math.max(setting.radius > 0 ? BEAMS : 1, lens.slopes?.length ?? 1);
 }
 
-/** Where a beam's ray to p = [x, y, z] crossed the face, and how strong it was: [x, y, strength]; its way, a unit vector. */
-export function meet(lens, beam, p) {
+/** Where a beam's ray to p = [x, y, z] crossed the face, and how strong it was: [x, y, strength]. */
+function meet(lens, beam, p) {
   const face = faceOf(lens), [sx, sy, sz] = beam.source, n = lens.refractive_index;
-  if (!beam.lamp) return { face: [p[0] - ((p[2] - face) / sz) * sx, p[1] - ((p[2] - face) / sz) * sy, 1], way: [sx, sy, sz] };
+  if (!beam.lamp) return [p[0] - ((p[2] - face) / sz) * sx, p[1] - ((p[2] - face) / sz) * sy, 1];
   const away = face - sz, from = [p[0] - sx, p[1] - sy, p[2] - sz], run = Math.hypot(from[0], from[1]);
-  let reach = (away / from[2]) * run, way = unit(from);
+  let reach = (away / from[2]) * run;
   if (!lens.is_mirror) {
     const depth = p[2] - face;
     let w = run / (away + depth / n);
@@ -157,39 +157,27 @@ export function meet(lens, beam, p) {
       const root = Math.sqrt(n * n + (n * n - 1) * w * w);
       w += (run - away * w - (depth * w) / root) / (away + (depth * n * n) / root ** 3);
     }
-    const sine = w / Math.hypot(1, w) / n;
     reach = away * w;
-    way = [(from[0] / (run || 1)) * sine, (from[1] / (run || 1)) * sine, Math.sqrt(1 - sine * sine)];
   }
   const share = run ? reach / run : 0;
-  return { face: [sx + share * from[0], sy + share * from[1], (1 + (reach / away) ** 2) ** -1.5], way };
-}
-
-/** Its way behind a surface of this slope; null if light does not get out. */
-export function leave(lens, way, [zx, zy]) {
-  const normal = unit([-zx, -zy, 1]), n = lens.is_mirror ? 1 : lens.refractive_index, cosine = dot(way, normal);
-  const inner = 1 - n * n * (1 - cosine * cosine);
-  if (lens.is_mirror ? cosine >= 0 : inner <= 0 || cosine <= 0) return null;
-  const push = lens.is_mirror ? -2 * cosine : Math.sqrt(inner) - n * cosine;
-  const found = way.map((each, axis) => n * each + push * normal[axis]);
-  return found[2] > 0 ? found : null;
+  return [sx + share * from[0], sy + share * from[1], (1 + (reach / away) ** 2) ** -1.5];
 }
 
 /** From the block's frame to the room's, row by row. */
-export function turnOf({ turn: [upright, level] }) {
+function turnOf({ turn: [upright, level] }) {
   const [a, b] = [Math.cos(upright), Math.sin(upright)], [c, d] = [Math.cos(level), Math.sin(level)];
   return [a, b * d, b * c, 0, c, -d, -b, a * d, a * c];
 }
 
 /** @param {number[]} m @param {number[]} v */
-export function times(m, [x, y, z]) {
+function times(m, [x, y, z]) {
   return [0, 3, 6].map((row) => m[row] * x + m[row + 1] * y + m[row + 2] * z);
 }
 
-/** Node (i, j) of the lens in the block's frame: {p, slope, weight}. */
-export function nodeOf({ nx, ny, dx_mm, dy_mm, nodes }, i, j) {
+/** Node (i, j) of the lens in the block's frame: {p, weight}. */
+function nodeOf({ nx, ny, dx_mm, dy_mm, nodes }, i, j) {
   const at = 4 * (j * nx + i);
-  return { p: [(i - (nx - 1) / 2) * dx_mm, (j - (ny - 1) / 2) * dy_mm, nodes[at]], slope: [nodes[at + 1], nodes[at + 2]], weight: nodes[at + 3] };
+  return { p: [(i - (nx - 1) / 2) * dx_mm, (j - (ny - 1) / 2) * dy_mm, nodes[at]], weight: nodes[at + 3] };
 }
 
 function faceOf({ is_mirror, thickness_mm }) {
@@ -201,8 +189,8 @@ function lightOn(lens, beam) {
   const pick = (count, k) => Math.round((k * (count - 1)) / (COARSE_NODES - 1));
   const lit = Array.from({ length: COARSE_NODES ** 2 }, (_, k) => {
     const { p, weight } = nodeOf(lens, pick(lens.nx, k % COARSE_NODES), pick(lens.ny, Math.floor(k / COARSE_NODES)));
-    const { face } = meet(lens, beam, p);
-    return [face[0], face[1], face[2] * weight];
+    const [x, y, strength] = meet(lens, beam, p);
+    return [x, y, strength * weight];
   });
   let sum = 0;
   for (let j = 0; j < COARSE_NODES - 1; j++) {
@@ -236,10 +224,6 @@ function coprimeTo(count) {
 
 function transposed(m) {
   return [0, 3, 6, 1, 4, 7, 2, 5, 8].map((at) => m[at]);
-}
-
-function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 function unit(way) {

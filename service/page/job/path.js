@@ -6,7 +6,7 @@ import { bytes, hours, mm, passName } from "../lib/words.js";
 import { fold } from "./fold.js";
 import { openPath } from "./path_file.js";
 import { pathView } from "./path_view.js";
-import { whenSeen } from "./when_seen.js";
+import { whenSeen } from "../lib/when_seen.js";
 
 const STEPS = 10_000;
 const LABEL = t("Tool path from above. Arrow keys move it, plus and minus zoom, 0 shows all.");

@@ -8,7 +8,7 @@ import { toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
 import { fold } from "./fold.js";
 import { PICTURES } from "./report_pictures.js";
-import { whenSeen } from "./when_seen.js";
+import { whenSeen } from "../lib/when_seen.js";
 import { wipe } from "./wipe.js";
 
 const shownAs = (where) =>

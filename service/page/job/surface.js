@@ -21,38 +21,22 @@ export function extremes(grid) {
   return { low: grid.z0 + grid.dz * low, high: grid.z0 + grid.dz * high };
 }
 
-/** x, y, z, dz/dx, dz/dy and bulge of every node, one after the other; x and y from the middle of the lens. */
+/** x, y, z, dz/dx and dz/dy of every node, one after the other; x and y from the middle of the lens. */
 export function vertices(grid) {
   const { nx, ny, steps, dz } = grid;
-  const found = new Float32Array(nx * ny * 6), bulge = bulges(grid);
+  const found = new Float32Array(nx * ny * 5);
   for (let j = 0, at = 0; j < ny; j++) {
     const up = Math.min(j + 1, ny - 1), down = Math.max(j - 1, 0);
-    for (let i = 0; i < nx; i++, at += 6) {
+    for (let i = 0; i < nx; i++, at += 5) {
       const right = Math.min(i + 1, nx - 1), left = Math.max(i - 1, 0);
       found[at] = (i - (nx - 1) / 2) * grid.dx;
       found[at + 1] = (j - (ny - 1) / 2) * grid.dy;
       found[at + 2] = grid.z0 + dz * steps[j * nx + i];
       found[at + 3] = (dz * (steps[j * nx + right] - steps[j * nx + left])) / ((right - left) * grid.dx);
       found[at + 4] = (dz * (steps[up * nx + i] - steps[down * nx + i])) / ((up - down) * grid.dy);
-      found[at + 5] = bulge[j * nx + i];
     }
   }
   return found;
-}
-
-/** The bulge of each node relative to its surroundings: 0.5 equal, up to 1 more, down to 0 less. */
-function bulges({ nx, ny, steps }) {
-  const found = new Float32Array(nx * ny), reach = 2;
-  for (let j = reach; j < ny - reach; j++) {
-    for (let i = reach; i < nx - reach; i++) {
-      const at = j * nx + i, side = reach * nx;
-      found[at] = 4 * steps[at] - steps[at - reach] - steps[at + reach] - steps[at - side] - steps[at + side];
-    }
-  }
-  const inner = found.filter((each) => each !== 0).sort();
-  const [low, middle, high] = [0.03, 0.5, 0.97].map((share) => inner[Math.floor(share * inner.length)] ?? 0);
-  const span = Math.max(high - middle, middle - low, 1e-9);
-  return found.map((each) => (each === 0 ? 0.5 : Math.min(1, Math.max(0, 0.5 + (each - middle) / span / 2))));
 }
 
 /** Corners of the triangles, two for each mesh of the grid, anticlockwise from above. */

@@ -1,12 +1,13 @@
-/** A job as one card of the list, kept up to date in place so that nothing flickers or loses the focus; and its picture. */
+/** A job as one card of the list, kept up to date in place so that nothing flickers or loses the focus. */
 
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { stateMark } from "../lib/state.js";
+import { whenSeen } from "../lib/when_seen.js";
 import { ago, jobName, percentUnderWay } from "../lib/words.js";
 
-/** {element, image, pick: its tick, where many are chosen, update(job)} */
+/** {element, pick: its tick, where many are chosen, update(job), free()} */
 export function jobCard(first) {
   const image = h("img", { class: "thumb", alt: "", width: 96, height: 96 });
   const name = h("span", { class: "name" });
@@ -21,9 +22,11 @@ export function jobCard(first) {
   );
   const pick = h("input", { type: "checkbox", "aria-label": t`Select ${jobName(first)}` });
   const element = h("li", {}, link, h("label", { class: "pick" }, pick));
+  const small = thumbnail(image);
   let shown = "";
 
   function update(job) {
+    small.show(job.links.picture);
     link.href = `#/jobs/${job.id}`;
     write(name, jobName(job));
     name.title = job.name;
@@ -37,7 +40,7 @@ export function jobCard(first) {
   }
 
   update(first);
-  return { element, image, pick, update };
+  return { element, pick, update, free: small.free };
 }
 
 function stateWords(job) {
@@ -53,51 +56,25 @@ function noteOf(job) {
   return ago(job.ended_at ?? job.started_at ?? job.created_at, api.now());
 }
 
-/** Small pictures of jobs, fetched when they come into sight: {show(image, job), forget(image), close()}; fills image elements; `close` gives everything back. */
-export function thumbnails() {
-  const wanted = new WeakMap(); // image -> job
-  const shown = new Map(); // image -> path of its picture
-  const sight = new IntersectionObserver(
-    (entries) => {
-      for (const { isIntersecting, target } of entries) if (isIntersecting) fetchInto(target);
-    },
-    { rootMargin: "200px" },
-  );
+/** The small picture of a job, fetched when it comes into sight: {show(path), free()}; another one takes its place once it is there. */
+function thumbnail(image) {
+  let wanted = null, shown = null;
+  const seen = whenSeen(image, load);
 
-  /** Another picture of the same job takes the place of the one before once it is there. */
-  async function fetchInto(image) {
-    const job = wanted.get(image);
-    const before = shown.get(image);
-    sight.unobserve(image);
-    if (!job || before === job.links.picture) return;
-    shown.set(image, job.links.picture);
+  async function load() {
+    const before = shown;
+    if (!wanted || wanted === before) return;
+    shown = wanted;
     try {
-      image.src = await api.blob(job.links.picture);
+      image.src = await api.blob(wanted);
       image.classList.add("there");
       if (before) api.release(before);
     } catch {
-      forget(image); // a missing picture needs no error message
+      shown = null; // a missing picture needs no error message
     }
   }
-
-  function show(image, job) {
-    wanted.set(image, job);
-    if (job.links.picture && shown.get(image) !== job.links.picture) sight.observe(image);
-  }
-
-  function forget(image) {
-    const path = shown.get(image);
-    if (path) api.release(path);
-    shown.delete(image);
-    sight.unobserve(image);
-  }
-
   return {
-    show,
-    forget,
-    close() {
-      sight.disconnect();
-      for (const image of [...shown.keys()]) forget(image);
-    },
+    show: (path) => ((wanted = path), seen.again()),
+    free: () => (shown && api.release(shown), seen.end()),
   };
 }

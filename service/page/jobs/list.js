@@ -9,7 +9,7 @@ import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
 import { gallery } from "../new/gallery.js";
-import { jobCard, thumbnails } from "./card.js";
+import { jobCard } from "./card.js";
 
 const FILTERS = [
   ["all", t("All"), [], ""],
@@ -125,7 +125,6 @@ function toolbar(asked, list) {
 /** The cards, or the text `none`; a small request at intervals keeps them current, more often while a job runs. */
 function jobList(states, none, asked) {
   const query = states.map((state) => `&state=${state}`).join("");
-  const pictures = thumbnails();
   const cards = new Map(); // id -> {card, job}
   const stop = new AbortController();
   const made = {
@@ -157,7 +156,7 @@ function jobList(states, none, asked) {
     stop.abort();
     clearTimeout(timer);
     document.removeEventListener("visibilitychange", whenSeen);
-    pictures.close();
+    for (const { card } of cards.values()) card.free();
   }
 
   function plan() {
@@ -209,12 +208,11 @@ function jobList(states, none, asked) {
     const card = known?.card ?? jobCard(job);
     if (known) card.update(job);
     cards.set(job.id, { card, job });
-    pictures.show(card.image, job);
   }
 
   function drop(id) {
     const { card } = cards.get(id);
-    pictures.forget(card.image);
+    card.free();
     card.element.remove();
     cards.delete(id);
   }

@@ -147,14 +147,7 @@ export const api = {
   },
   /** Exchanges a code that the server printed for a token. */
   async pair(code, name) {
-    const made = await readJson(
-      await request("POST", "/v1/pairings", {
-        body: JSON.stringify({ code, name }),
-        type: "application/json",
-        quiet: true,
-      }),
-    );
-    return api.useToken(made.token);
+    return api.useToken((await api.post("/v1/pairings", { code, name }, { quiet: true })).token);
   },
   /** From now on every request carries this token; who that is. ProblemError where the server does not know it. */
   async useToken(secret) {

@@ -28,11 +28,6 @@ export function shape(kind) {
   return svg("svg", { class: `shape ${kind}`, viewBox: "0 0 16 16", "aria-hidden": "true" }, drawn);
 }
 
-/** The name of a job's state on the page. */
-export function stateWord(state) {
-  return LOOKS[state]?.[0] ?? state;
-}
-
 /** May a mill have a job's programs? job: a whole one, which offers them once checked; what they make is drawn after. */
 export function mayBeMilled({ state, programs, cancel_requested: givenUp }) {
   return programs.length > 0 && (state === "succeeded" || (state === "running" && !givenUp));

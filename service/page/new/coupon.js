@@ -7,12 +7,11 @@ import { photograph } from "../lib/photograph.js";
 import { at } from "../lib/root.js";
 import { sentence } from "../lib/words.js";
 
-const TITLE = t("Measure your mill and your finish");
 const INTRO =
   t("Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: the result says how exact the mill is and how much your finish takes off. The sheet in the archive says how.");
 const WAIT = t("The archive takes about a quarter of a minute the first time.");
 
-/** {element, show(profile)}: of the machine that the job is for. take({what, values}): called when a person uses the figures. */
+/** {nodes, show(profile)}: of the machine that the job is for. take({what, values}): called when a person uses the figures. */
 export function couponPart({ take }) {
   let profile = "";
   const address = () => `/v1/profiles/${encodeURIComponent(profile)}/coupon`;
@@ -41,10 +40,8 @@ export function couponPart({ take }) {
       h("button", { type: "button", onclick: use }, t("Use these figures for this job")),
     ];
   }
-  const summary = h("summary", {}, TITLE);
   const buttons = h("div", { class: "row" }, link, photo.button);
-  const element = h("details", { class: "card coupon" }, summary, h("p", { class: "dim" }, `${INTRO} ${WAIT}`), buttons, photo.node);
-  return { element, show };
+  return { nodes: [h("p", { class: "dim" }, `${INTRO} ${WAIT}`), buttons, ...photo.node], show };
 }
 
 /** Period of which half is left [mm]: H(k) = exp(-(k / k0)^order) = 1/2. */

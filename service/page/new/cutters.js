@@ -7,7 +7,13 @@ import { sentence } from "../lib/words.js";
 
 const INTRO = t("New jobs are planned with these alone. Sizes are diameters in mm, as on the box. Balls make the lens; flat ones only rough.");
 const USUAL = t("usual");
-const FIELDS = [["diameter", t("Diameter"), ""], ["corner", t("Corner radius"), t("ball")], ["flute", t("Cutting length"), USUAL], ["shank", t("Shank"), USUAL], ["stick_out", t("Sticks out"), USUAL]];
+const FIELDS = [
+  ["diameter", t("Diameter"), "", "radius_mm"],
+  ["corner", t("Corner radius"), t("ball"), "corner_radius_mm"],
+  ["flute", t("Cutting length"), USUAL, "flute_length_mm"],
+  ["shank", t("Shank"), USUAL, "shank_radius_mm"],
+  ["stick_out", t("Sticks out"), USUAL, "stick_out_mm"],
+];
 
 /** Returns the section's nodes. onChange(): the cutters have changed. */
 export function ownCutters({ onChange }) {
@@ -16,6 +22,7 @@ export function ownCutters({ onChange }) {
   const add = h("button", { type: "button", disabled: true, onclick: () => send("put", [...tools, asTool()]) }, t("Add"));
   const usual = h("button", { type: "button", class: "quiet", onclick: () => send("delete") }, t("Back to the usual ones"));
   const fields = h("div", { class: "row cutter-fields" }, Object.values(inputs).map(({ node }) => node), add);
+  const byField = Object.fromEntries(FIELDS.map(([key, , , field]) => [field, inputs[key].input]));
   let tools = [];
   usual.hidden = true;
   answered(() => api.get("/v1/tools"));
@@ -31,10 +38,10 @@ export function ownCutters({ onChange }) {
       usual.hidden = !found.own;
       add.disabled = false;
       replace(list, tools.map(shown));
-      write(said, "");
+      showRefusal(said, null, byField);
       return true;
     } catch (error) {
-      write(said, sentence(error.detail ?? error.message));
+      showRefusal(said, error, byField);
       return false;
     }
   }
@@ -68,6 +75,18 @@ export function numberInput(label, placeholder) {
   const input = h("input", { type: "number", min: 0, step: "any", inputMode: "decimal", placeholder });
   const read = () => (input.value === "" ? null : Number(input.value));
   return { node: labelled(label, input), input, read };
+}
+
+/** Says why the server refuses what was sent, and marks the input that the refusal's field ends in; no error: all is well. inputs: by field */
+export function showRefusal(said, error, inputs) {
+  const named = Object.keys(inputs).find((name) => `.${error?.field}`.endsWith(`.${name}`));
+  said.id ||= freshId("fault");
+  for (const [name, input] of Object.entries(inputs)) {
+    input.setAttribute("aria-invalid", String(name === named));
+    input.setAttribute("aria-describedby", name === named ? said.id : "");
+  }
+  write(said, error ? sentence(error.detail ?? error.message) : "");
+  inputs[named]?.focus();
 }
 
 /** An input below its label. */

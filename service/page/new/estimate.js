@@ -4,10 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
-import { eyeWords } from "../job/eye_words.js";
-import { capital, figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
-import { SPEC } from "./fields.js";
-import { valueOf } from "./screen.js";
+import { figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
 import { digest } from "./submit.js";
 
 const CALM_MS = 250;
@@ -109,7 +106,7 @@ export function estimator({ make, onState }) {
 }
 
 /** The estimate as a person reads it; first: of a first look only what holds. */
-export function estimateWords(estimate, first) {
+function estimateWords(estimate, first) {
   return h(
     "div",
     { class: "stack" },
@@ -119,7 +116,6 @@ export function estimateWords(estimate, first) {
       figure(t("Machine time"), hours(3600 * estimate.hours)),
       figure(t("Smallest detail"), first ? "…" : mm(estimate.smallest_detail_mm), t("on the wall")),
       figure(t("Depth of the lens"), mm(estimate.relief_mm), t`steepest ${figures(estimate.max_slope_deg, 2)}°`),
-      needs(estimate),
     ),
     estimate.passes?.length > 0 &&
       h(
@@ -138,20 +134,6 @@ export function estimateWords(estimate, first) {
   );
 }
 
-/** What must be at hand: the block with its margin and with what is faced off, cutters, room up to the wall. */
-function needs({ spec, passes }) {
-  const at = (key) => valueOf(spec, key), around = 2 * at("stock.margin_mm");
-  const block = [at("optics.width_mm") + around, at("optics.height_mm") + around, at("stock.thickness_mm") + (spec.stock?.face?.above_mm ?? 0)];
-  const { choices } = SPEC.find(({ key }) => key === "stock.material"), material = at("stock.material");
-  const lens = t`lens ${at("optics.width_mm")} × ${at("optics.height_mm")} mm, ${around / 2} mm around it`;
-  const cutters = new Set(passes.map(({ tool }) => capital(toolWords(tool.replace(/R .*\((.*)\)/, "$1")))));
-  return [
-    figure(t("Block"), `${block.map((side) => +side.toFixed(1)).join(" × ")}\u00a0mm`, `${choices.find(([name]) => name === material)[1]}; ${lens}`),
-    figure(t("Cutters"), [...cutters].join(", ")),
-    figure(t("Distance to the wall"), mm(at("optics.throw_mm"))),
-  ];
-}
-
 /** "ball R 3 (Ø 6 mm)", as the server says it, in one piece. */
 function toolWords(tool) {
   return tool.replaceAll(/(?<=Ø) | (?=mm)/g, "\u00a0");
@@ -162,10 +144,9 @@ function notice(kind, words) {
 }
 
 /** For the bar at the foot: one line. */
-export function estimateLine(estimate, first) {
-  if (first) return t`About ${hours(3600 * estimate.hours)} of milling`;
-  const seen = Number.isFinite(estimate.seen_db) ? `; ${eyeWords(estimate.seen_db)}` : "";
-  return t`About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
+export function estimateLine({ hours: inHours, hand_min: byHand }) {
+  const milling = t`About ${hours(3600 * inHours)} of milling`;
+  return byHand ? t`${milling}, then ${hours(60 * byHand)} by hand` : milling;
 }
 
 function figure(name, value, more) {
@@ -174,7 +155,7 @@ function figure(name, value, more) {
 
 /** {element, show(state)}: the card. It keeps the last figures, greyed, while new ones are worked out. */
 export function estimateCard() {
-  const body = h("div");
+  const body = h("div"), needs = h("section");
   const state = h("p", { class: "dim", role: "status" });
   const element = h(
     "section",
@@ -182,6 +163,7 @@ export function estimateCard() {
     h("h2", {}, t("Estimate")),
     state,
     body,
+    needs,
   );
   const words = {
     none: t("It appears as soon as there is a picture."),
@@ -200,8 +182,11 @@ export function estimateCard() {
     element.setAttribute("aria-busy", String(result.kind === "busy"));
     state.textContent = stateWords(result);
     state.hidden = !state.textContent;
-    if (result.kind === "known") replace(body, estimateWords(result.estimate, result.first));
-    else if (result.kind !== "busy") replace(body);
+    if (result.kind === "known") {
+      replace(body, estimateWords(result.estimate, result.first));
+      import("./needs.js").then(({ showNeeds }) => showNeeds(needs, result.estimate));
+    } else if (result.kind !== "busy") replace(body);
+    needs.hidden = !body.firstChild;
   }
   return { element, show };
 }

@@ -1,19 +1,25 @@
 /** The form of a new job: rows that make a spec, and a spec that fills the rows. */
 
-import { freshId, h } from "../lib/dom.js";
+import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
 import { EXPERT, LENS, LIGHT, MAIN, MILL, PICTURE, START } from "./fields.js";
 import { withProfiles } from "./machines.js";
 import { passes } from "./passes.js";
-import { row } from "./row.js";
-import { isTable, merged, put, same, valueAt } from "./spec.js";
+import { readRow, row } from "./row.js";
+import { put, same, valueAt } from "./spec.js";
 
-const OTHERS = t("Other values, as JSON");
+const OTHERS = {
+  key: "rest",
+  label: t("Other values, as JSON"),
+  hint: t("For keys without a field: {\"optics\": {\"outline\": [[0, 0], [50, 0], [25, 40]]}}"),
+  kind: "json",
+};
+const OWN = ["machine.profile", "stock.thickness_mm", "finish.process"];
 const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 
 /**
- * {main, picture: elements; settings: [[title, element]] of all others; isUsual(groups), read(), show(spec), blame(problems)}.
+ * {own, main, picture: elements, own of what a person has; settings: [[title, element]] of all others; isUsual(groups), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
  * as the server describes them.
  */
@@ -27,7 +33,7 @@ export function specForm({ profiles, onChange, planned }) {
   const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
   const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
   const milling = passes({ onChange: changed, known: planned });
-  const rest = otherValues(changed);
+  const rest = row(OTHERS, { onChange: changed });
   const [width, height] = ["width", "height"].map((side) => rows.find(({ key }) => key === `optics.${side}_mm`));
   const shape = { ratio: 1, byHand: false, finish: START.finish.process }; // finish: as the way of planning has it
 
@@ -65,14 +71,10 @@ export function specForm({ profiles, onChange, planned }) {
     while (asked.length !== count) {
       count = asked.length;
       faults = [];
-      spec = rest.value(faults);
+      spec = readRow(rest, faults) ?? {};
       for (const one of asked) {
-        try {
-          const value = one.read();
-          if (value !== undefined && (!same(value, one.field.usual) || valueAt(START, one.key) !== undefined)) spec = put(spec, one.key, value);
-        } catch (error) {
-          faults.push({ row: one, words: error.message });
-        }
+        const value = readRow(one, faults);
+        if (value !== undefined && (!same(value, one.field.usual) || valueAt(START, one.key) !== undefined)) spec = put(spec, one.key, value);
       }
       asked = asked.filter(({ field }) => !field.when || field.when(spec));
     }
@@ -92,7 +94,7 @@ export function specForm({ profiles, onChange, planned }) {
     }
     milling.show(left.passes?.length ? left.passes : null);
     delete left.passes;
-    rest.show(left);
+    rest.show(Object.keys(left).length ? left : undefined);
     shape.ratio = (safely(width.read) > 0 && safely(height.read) / width.read()) || 1;
     reveal();
   }
@@ -103,7 +105,8 @@ export function specForm({ profiles, onChange, planned }) {
     const faults = new Map();
     const unplaced = [];
     for (const problem of problems) {
-      const found = problem.field.startsWith("spec.") && rowFor(all, problem.field.slice("spec.".length));
+      const key = problem.field.startsWith("spec.") ? problem.field.slice("spec.".length) : "";
+      const found = rowFor(all, key) ?? (valueAt(rest.value([]), key) !== undefined && rest);
       if (found) faults.set(found, [...(faults.get(found) ?? []), problem]);
       else unplaced.push(problem);
     }
@@ -136,8 +139,10 @@ export function specForm({ profiles, onChange, planned }) {
     [t("Everything else"), rest.element],
   ];
   reveal();
+  const isOwn = ({ key }) => OWN.includes(key);
   return {
-    main: fields(groups.main),
+    own: fields(groups.main.filter(isOwn)),
+    main: fields(groups.main.filter((one) => !isOwn(one))),
     picture: fields(groups.picture),
     settings,
     isUsual,
@@ -147,7 +152,7 @@ export function specForm({ profiles, onChange, planned }) {
   };
 }
 
-/** The row a key belongs to: its own, that of the table it lies in, or the first shown one of the table that it is. */
+/** The row a key belongs to: its own, or that of the list or table it lies in. Another row would be the wrong one. */
 function rowFor(rows, key) {
   const shown = rows.filter(({ element }) => !element.hidden);
   const parts = key.split(".");
@@ -155,7 +160,7 @@ function rowFor(rows, key) {
     const found = shown.find((one) => one.key === parts.slice(0, length).join("."));
     if (found) return found;
   }
-  return shown.find((one) => one.key.startsWith(`${key}.`));
+  return undefined;
 }
 
 function compareDown(one, other) {
@@ -175,50 +180,4 @@ function safely(read) {
   } catch {
     return null;
   }
-}
-
-/** A text of JSON for keys that have no row: corners of an outline, a measured light. */
-function otherValues(onChange) {
-  const [label, hint, fault] = [freshId("label"), freshId("hint"), freshId("fault")];
-  const text = h("textarea", {
-    rows: 3,
-    spellcheck: false,
-    class: "mono",
-    "aria-labelledby": label,
-    "aria-describedby": `${hint} ${fault}`,
-    oninput: onChange,
-  });
-  const words = h("p", { class: "fault", id: fault });
-  const made = {
-    key: "rest",
-    element: h(
-      "div",
-      { class: "field" },
-      h("span", { id: label }, OTHERS),
-      text,
-      h("small", { id: hint }, t("For keys without a field: {\"optics\": {\"outline\": [[0, 0], [50, 0], [25, 40]]}}")),
-      words,
-    ),
-    field: { label: OTHERS },
-    focus: () => text.focus(),
-    blame(found) {
-      words.textContent = found ?? "";
-      text.setAttribute("aria-invalid", String(Boolean(found)));
-    },
-    value(faults) {
-      if (!text.value.trim()) return {};
-      try {
-        const value = JSON.parse(text.value);
-        if (isTable(value)) return merged({}, value);
-        faults.push({ row: made, words: t("This must be an object in braces: {...}") });
-      } catch (error) {
-        faults.push({ row: made, words: t`This is not JSON: ${error.message}` });
-      }
-      return {};
-    },
-    show(spec) {
-      text.value = Object.keys(spec).length ? JSON.stringify(spec, null, 1) : "";
-    },
-  };
-  return made;
 }

@@ -1,10 +1,9 @@
 /** Mills of the shop for which programs can be made: the known mill that each resembles, and the differences. Stored on the server. */
 
 import { api } from "../lib/api.js";
-import { h, write } from "../lib/dom.js";
+import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { sentence } from "../lib/words.js";
-import { labelled, numberInput } from "./cutters.js";
+import { labelled, numberInput, showRefusal } from "./cutters.js";
 
 const INTRO = t("Describe your mill by what differs from a known one: plans, programs and checks follow. An empty field is as in the known one.");
 const AXES = ["X", "Y", "Z"];
@@ -21,6 +20,12 @@ export function ownMills({ profiles, onChanged }) {
   const said = h("p", { class: "fault", role: "alert" });
   const keep = h("button", { type: "button", onclick: save }, t("Keep this mill"));
   const fields = [name.node, labelled(t("Like"), like), words.node, ...[...travel, ...figures, ...speeds].map(({ node }) => node), keep];
+  const each = (key, inputs) => inputs.map(({ input }, k) => [`${key}.${k}`, input]);
+  const byField = Object.fromEntries([
+    ["profile", name.input], ["extends", like], ["description", words.input],
+    ...each("travel_mm", travel), ...each("spindle_rpm", speeds), ...figures.map(({ key, input }) => [key, input]),
+    ["travel_mm", travel[0].input], ["spindle_rpm", speeds[0].input],
+  ]);
   const list = h("ul", { class: "row cutters", hidden: !own.length }, own.map(shown));
   showUsual();
 
@@ -56,7 +61,7 @@ export function ownMills({ profiles, onChanged }) {
   }
   function save() {
     const called = name.input.value.trim();
-    if (!called) return write(said, t("It needs a name.")), name.input.focus();
+    if (!called) return showRefusal(said, { field: "profile", detail: t("It needs a name.") }, byField);
     const base = known.find((one) => one.name === like.value);
     const body = { extends: like.value, description: words.input.value.trim() || undefined };
     Object.assign(body, { travel_mm: whole(travel, base.travel_mm), spindle_rpm: whole(speeds, base.spindle_rpm) });
@@ -68,7 +73,7 @@ export function ownMills({ profiles, onChanged }) {
     try {
       onChanged((await ask()).profiles, called);
     } catch (error) {
-      write(said, sentence(error.detail ?? error.message));
+      showRefusal(said, error, byField);
     }
   }
   return [h("p", { class: "dim" }, INTRO), list, h("div", { class: "row cutter-fields" }, fields), said];

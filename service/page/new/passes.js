@@ -3,7 +3,7 @@
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { PASS } from "./fields.js";
-import { row } from "./row.js";
+import { readRow, row } from "./row.js";
 
 export const FIRST = [
   { name: "rough", radius_mm: 3, pitch_mm: 0.5, stock_to_leave_mm: 0.2 },
@@ -89,12 +89,8 @@ export function passes({ onChange, known }) {
     return cards.map(({ rows }) => {
       const pass = {};
       for (const one of rows) {
-        try {
-          const value = one.read();
-          if (value !== undefined) pass[one.field.key] = value;
-        } catch (error) {
-          faults.push({ row: one, words: error.message });
-        }
+        const value = readRow(one, faults);
+        if (value !== undefined) pass[one.field.key] = value;
       }
       return pass;
     });

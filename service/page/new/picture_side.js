@@ -17,10 +17,10 @@ const HOW = t("drag to choose the part, pinch or + and − to zoom");
 
 /**
  * {element, tools, begin({picture, edits, name, file}), has(), forget(), show(estimate, first), blame(words), fault(), focus(), sent(),
- * draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent;
+ * draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; plans: what stands below both pictures; onChange(): something else is to be sent;
  * onOpening(name): a picture is being read, which may take a moment.
  */
-export function pictureSide({ spec, values, onChange, onOpening }) {
+export function pictureSide({ spec, values, plans, onChange, onOpening }) {
   const now = { picture: null, edits: { ...UNTOUCHED }, estimate: null, light: null };
   const seen = wall({ state: readDrawing, onEdit: edit });
   const tools = pictureTools({ state: readDrawing, onEdit: edit });
@@ -72,7 +72,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     const words = t`This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
     const figure = (canvas, caption, more) => h("figure", {}, canvas, h("figcaption", {}, h("strong", {}, caption), more));
     const shown = picture.shown
-      ? h("div", { class: "stage" }, figure(seen.picture, t("Picture"), h("small", {}, HOW)), figure(seen.wall, t("On the wall"), wallNote))
+      ? h("div", { class: "stage" }, figure(seen.picture, t("Picture"), h("small", {}, HOW)), figure(seen.wall, t("On the wall"), wallNote), plans)
       : h("p", { class: "notice unseen" }, h("span", {}, words));
     all.hidden = false;
     tools.element.hidden = !picture.shown;

@@ -2,7 +2,7 @@
 
 import { freshId, h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { numberOf } from "./spec.js";
+import { isTable, numberOf } from "./spec.js";
 
 /**
  * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}.
@@ -48,6 +48,16 @@ export function row(field, { onChange, key = field.key }) {
   return { element, key, field, read: input.read, show: input.show, blame, disable, focus: () => input.controls[0].focus() };
 }
 
+/** The value of a row; what cannot be read goes to faults as {row, words}. */
+export function readRow(row, faults) {
+  try {
+    return row.read();
+  } catch (error) {
+    faults.push({ row, words: error.message });
+    return undefined;
+  }
+}
+
 /** The input with its label: around a tick, before a single input, as the name of a group. */
 function labelled(field, input, ids) {
   if (field.kind === "tick")
@@ -62,24 +72,26 @@ const INPUTS = {
   number: (field, parts) => oneNumber(field, parts),
   whole: (field, parts) => oneNumber(field, parts, { whole: true }),
   text: oneText,
+  json: oneTable,
   tick: oneTick,
   choice: (field, parts) => (field.look === "cards" ? cards(field, parts) : select(field, parts)),
   numbers: severalNumbers,
 };
 
-function numberInput(field, { described, onChange }, more) {
-  const usual = field.usual ?? t("the machine's");
+function textInput(field, { described, onChange }, more) {
   return h("input", {
     type: "text",
-    inputMode: "decimal",
     autocomplete: "off",
-    placeholder: String(usual),
+    placeholder: String(field.usual ?? t("the machine's")),
     title: field.limits || null,
     "aria-describedby": described,
     oninput: onChange,
-    onfocus: selectAll,
     ...more,
   });
+}
+
+function numberInput(field, parts, more) {
+  return textInput(field, parts, { inputMode: "decimal", onfocus: selectAll, ...more });
 }
 
 /** Typing replaces the number in the field, even after a click that would set the cursor. */
@@ -135,20 +147,27 @@ function severalNumbers(field, parts) {
   return { element: h("div", { class: "several" }, inputs, unit), controls: inputs, group: true, read, show };
 }
 
-function oneText(field, { described, onChange }) {
+function oneText(field, parts) {
+  const id = freshId("input"), input = textInput(field, parts, { id });
+  return { id, element: input, controls: [input], read: () => input.value.trim() || undefined, show: (value) => (input.value = value ?? "") };
+}
+
+/** A table of JSON as a text of several lines. */
+function oneTable(_, { described, onChange }) {
   const id = freshId("input");
-  const input = h("input", {
-    type: "text",
-    id,
-    autocomplete: "off",
-    placeholder: field.usual,
-    "aria-describedby": described,
-    oninput: onChange,
-  });
-  const show = (value) => {
-    input.value = value ?? "";
-  };
-  return { id, element: input, controls: [input], read: () => input.value.trim() || undefined, show };
+  const input = h("textarea", { id, rows: 3, spellcheck: false, class: "mono", "aria-describedby": described, oninput: onChange });
+  function read() {
+    if (!input.value.trim()) return undefined;
+    let value;
+    try {
+      value = JSON.parse(input.value);
+    } catch (error) {
+      throw new TypeError(t`This is not JSON: ${error.message}`);
+    }
+    if (!isTable(value)) throw new TypeError(t("This must be an object in braces: {...}"));
+    return value;
+  }
+  return { id, element: input, controls: [input], read, show: (value) => (input.value = value ? JSON.stringify(value, null, 1) : "") };
 }
 
 function oneTick(field, { ids, described, onChange }) {

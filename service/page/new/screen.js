@@ -6,12 +6,11 @@ import { valueAt } from "./spec.js";
 /** The effective value of a key of a spec: the given one, or its default. */
 export const valueOf = (spec, key) => valueAt(spec, key) ?? usualOf(key);
 
-/** The values of a spec that decide the drawing: {aspect, fit, tone, invert}. */
+/** The values of a spec that decide the drawing: {aspect, fit, invert}. */
 export function screenOf(spec) {
   return {
     aspect: aspectOf(spec),
     fit: valueOf(spec, "image.fit"),
-    tone: valueOf(spec, "image.tone"),
     invert: valueOf(spec, "image.invert"),
   };
 }

@@ -2,33 +2,26 @@
 
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
-import { freshId, h, replace, sheet, write } from "../lib/dom.js";
+import { h, replace, sheet } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
 import { keepPrediction } from "../job/prediction.js";
-import { couponPart } from "./coupon.js";
+import { allSettings } from "./all_settings.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { focusRow, specForm } from "./form.js";
-import { START, usualOf } from "./fields.js";
 import { improvements, withChange } from "./improve.js";
-import { firstProfile } from "./machines.js";
+import { keepOwn, MACHINE_USUAL, ownThings, startSpec } from "./own.js";
 import { FIRST } from "./passes.js";
 import { pictureSide } from "./picture_side.js";
-import { priorityRow } from "./priority.js";
-import { put, valueAt } from "./spec.js";
+import { planChoice } from "./plans.js";
+import { merged, valueAt } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
+import { priorityRow, submitBar } from "./submit_bar.js";
 
-const MACHINE_USUAL = usualOf("machine.profile");
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
-const OWN = "causticmill-own"; // of this browser
-const OWN_KEYS = ["machine.profile", "stock.thickness_mm", "stock.material", "finish.process", "optics.light", "optics.throw_mm"];
-const MAKE = t("Make the lens");
 const NO_PICTURE = t("Choose a picture first.");
 const CANNOT = t("Such a lens cannot be made.");
-const MOST_NAMED = 3; // problems that are named beside the button
-const WAITS = t("The server does not answer. The job is sent as soon as it does; leave this page open.");
 
 export default async function view(root, params, app) {
   let [profiles] = await Promise.all([knownProfiles(), sheet("/page/new/new.css")]);
@@ -72,35 +65,6 @@ async function beginning(params) {
   return file ? { spec: draft?.spec, file } : (draft ?? {});
 }
 
-/** The usual job, for what the person had in the last one: mill, block, finish, lamp, wall. */
-function startSpec(profiles) {
-  const own = JSON.parse(localStorage.getItem(OWN) ?? "{}"), isKnown = profiles.some(({ name }) => name === own["machine.profile"]);
-  const spec = structuredClone({ ...START, machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
-  for (const [key, value] of Object.entries(own)) if (isKnown || key !== "machine.profile") put(spec, key, value);
-  return spec;
-}
-
-/** Keep them in this browser; of a job with passes of its own only what does not depend on the way of planning. */
-function keepOwn(spec) {
-  const keys = OWN_KEYS.filter((key) => (key !== "finish.process" || spec.preset === START.preset) && !valueAt(spec, `${key}.profile`));
-  localStorage.setItem(OWN, JSON.stringify(Object.fromEntries(keys.map((key) => [key, valueAt(spec, key)]))));
-}
-
-/** All keys under their titles, and a field that leaves only those whose words or key hold what is typed. */
-function allSettings(settings) {
-  const parts = settings.map(([title, element]) => h("section", {}, h("h3", {}, title), element));
-  const find = () => {
-    const wanted = search.value.trim().toLowerCase(), lacks = (one) => !`${one.dataset.key ?? ""} ${one.textContent}`.toLowerCase().includes(wanted);
-    for (const part of parts) {
-      const rows = [...part.querySelectorAll(".fields > .field")];
-      for (const one of rows) one.classList.toggle("unfound", lacks(one));
-      part.classList.toggle("unfound", rows.length ? rows.every(lacks) : lacks(part));
-    }
-  };
-  const search = h("input", { type: "search", placeholder: t("Search"), "aria-label": t("Search all settings"), oninput: find });
-  return h("div", { class: "stack expert" }, search, parts);
-}
-
 async function knownProfiles() {
   try {
     return (await api.get("/v1/profiles")).profiles;
@@ -119,14 +83,15 @@ function lateCard(title, load) {
 
 /** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), keep(), leave()}. forMore: a person comes to see what shows more. */
 function newJob(profiles, app, withMills) {
-  const now = { estimate: null, sent: false, problems: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
+  const now = { estimate: null, first: false, sent: false, problems: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
   const address = location.hash;
+  let coupon = null;
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
-  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
+  const plans = planChoice({ onPick: showChosen });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, plans: plans.element, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, onState: showEstimate });
-  const coupon = couponPart({ take: takeChange });
   const improve = improvements({ make: estimateForm, take: takeChange });
   const foot = submitBar(submit);
   const sending = sender({ onWait: foot.wait });
@@ -136,14 +101,19 @@ function newJob(profiles, app, withMills) {
   const shop = [
     lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: () => (asks.forget(), changed()) })),
     lateCard(t("Your mills"), async () => (await import("./own_mills.js")).ownMills({ profiles, onChanged: withMills })),
-    coupon.element,
+    lateCard(t("Measure your mill and your finish"), async () => {
+      coupon = (await import("./coupon.js")).couponPart({ take: takeChange });
+      ready();
+      return coupon.nodes;
+    }),
   ];
-  const settings = [pictureFold, h("div", { class: "grid shop" }, shop), all];
+  const own = ownThings({ rows: form.own, more: shop, onBlock: () => now.estimate && showChosen() });
+  const settings = [pictureFold, all];
   const element = h(
     "div",
     { class: "new-job", onkeydown: leaveField },
     side.element,
-    h("section", { class: "card main-choices", "aria-label": t("Mill, size, time") }, form.main),
+    h("section", { class: "main-choices stack tight", "aria-label": t("Mill, size, time") }, own.element, h("div", { class: "card" }, form.main)),
     h("section", { class: "settings stack tight", "aria-label": t("Everything else") }, settings),
     h("div", { class: "estimate-side" }, card.element, improve.element),
     foot.element,
@@ -153,6 +123,7 @@ function newJob(profiles, app, withMills) {
     now.refused = []; // the form differs from what was sent
     now.forMore = false;
     side.forget();
+    plans.forget();
     element.classList.toggle("stale", now.estimate !== null);
     asks.ask();
     ready();
@@ -160,11 +131,14 @@ function newJob(profiles, app, withMills) {
 
   /** Disable the button for a job that cannot be made; the reason is beside it. */
   function ready() {
-    coupon.show(valueAt(form.read().spec, "machine.profile") ?? MACHINE_USUAL);
+    const { spec } = form.read();
+    coupon?.show(valueAt(spec, "machine.profile") ?? MACHINE_USUAL);
+    own.update(spec);
     foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.look);
   }
 
-  async function begin(/** @type {any} */ { spec, forMore, ...start }) {
+  async function begin(/** @type {any} */ { spec, forMore, plan, ...start }) {
+    plans.restore(plan);
     showSpec(spec ?? startSpec(profiles));
     card.show({ kind: "none" });
     ready();
@@ -194,18 +168,27 @@ function newJob(profiles, app, withMills) {
 
   function showEstimate(asked) {
     const state = asked.kind === "none" && side.has() ? { kind: "problems" } : asked;
-    card.show(state);
+    if (state.kind !== "known") card.show(state);
     if (state.kind !== "busy") element.classList.remove("stale");
-    if (state.kind === "known") now.estimate = state.estimate;
+    if (state.kind === "known") Object.assign(now, { estimate: state.estimate, first: state.first });
+    if (state.kind === "known") plans.show(state.estimate, state.first);
     if (state.kind !== "busy") now.problems = state.problems ?? state.estimate?.refusals ?? [];
     if (state.kind !== "busy" && state.kind !== "none") showProblems();
     if (state.kind !== "known") improve.stop();
     else if (state.after) improve.reconsider(state.estimate);
     else improve.show(state.estimate);
-    if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate, state.first) : "");
-    if (state.kind === "known") side.show(state.estimate, state.first);
+    if (state.kind === "known") showChosen();
+    else if (state.kind !== "busy") foot.say("");
     if (state.kind === "known" && now.forMore) improve.focus();
     if (state.kind !== "busy") now.forMore = false;
+  }
+
+  /** Figures and wall of the plan that is chosen. */
+  function showChosen() {
+    const estimate = { ...now.estimate, ...plans.figures() }, { first } = now;
+    card.show({ kind: "known", estimate, first });
+    foot.say(estimateLine(estimate));
+    side.show(estimate, first);
   }
 
   /** Show problems beside their fields; those without a field above the button. `focus`: a person waits for it. */
@@ -229,10 +212,10 @@ function newJob(profiles, app, withMills) {
     if (foot.isBusy() || !(await api.need("jobs:write"))) return;
     foot.busy(true);
     try {
-      const job = await sending.send(await side.sent(), spec, priority.read());
+      const job = await sending.send(await side.sent(), merged(spec, plans.spec()), priority.read() ?? "normal");
       now.sent = true;
       keepOwn(spec);
-      if (asks.settled && now.estimate.exact) keepPrediction(job.id, now.estimate.seen_db);
+      if (asks.settled && now.estimate.exact) keepPrediction(job.id, plans.figures().seen_db ?? now.estimate.seen_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
       now.refused = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
@@ -243,7 +226,7 @@ function newJob(profiles, app, withMills) {
   }
 
   function draft() {
-    return { ...side.draft(), spec: form.read().spec };
+    return { ...side.draft(), spec: form.read().spec, plan: plans.spec() };
   }
 
   function stop() {
@@ -273,40 +256,4 @@ function bothOf(estimated, refused) {
 /** Enter, on a phone the keyboard's Go, ends a field; a job is begun by its button alone. */
 function leaveField({ key, target, isComposing }) {
   if (key === "Enter" && ["text", "number"].includes(target.type) && !isComposing) target.blur();
-}
-
-/** The bar at the foot: the estimate in one line, the button, and the reason if it is disabled. */
-function submitBar(onclick) {
-  const line = h("p", { class: "line" });
-  const why = h("p", { class: "line why row", id: freshId("why") });
-  const button = h("button", { type: "button", class: "primary big", "aria-describedby": why.id, onclick }, MAKE);
-  const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
-  const faults = h("div", { class: "stack tight", role: "alert" });
-  const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
-  const now = { sending: false, why: "", look: [] };
-  let listed = [];
-  const name = (row) => h("button", { type: "button", class: "quiet", onclick: () => focusRow(row) }, row.field.label);
-  function update() {
-    button.setAttribute("aria-disabled", String(now.sending));
-    button.disabled = now.why !== "" && !now.sending;
-    write(button, now.sending ? t("Sending…") : MAKE);
-    line.hidden = Boolean(now.why || now.look.length);
-    why.hidden = !line.hidden;
-    const more = now.look.length - MOST_NAMED, said = [now.why, ...now.look];
-    if (said.length === listed.length && said.every((one, k) => one === listed[k])) return; // the focus stays
-    listed = said;
-    const names = now.look.slice(0, MOST_NAMED).map(name);
-    replace(why, now.why, names.length > 0 && [" ", t("Look at:"), names, more > 0 && t`+ ${more} more`]);
-  }
-  return {
-    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, button)),
-    say: (words) => write(line, words),
-    blame: (details) => replace(faults, details.map(notice)),
-    wait: (waiting) => (waits.hidden = !waiting),
-    isBusy: () => now.sending,
-    busy: (sending) => ((now.sending = sending), update()),
-    /** why: what is missing before it can be sent, "" nothing; look: the rows to look at. */
-    ready: (why, look = []) => (Object.assign(now, { why, look }), update()),
-    focus: () => button.focus(),
-  };
 }

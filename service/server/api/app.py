@@ -20,6 +20,7 @@ from service.server.api.errors import ANYWHERE, install_problems, refusals, with
 from service.server.api.monitoring import MetricsMiddleware
 from service.server.api.routes import files, jobs, machines, operations, page, photos, profiles, runs, submit
 from service.server.api.services import Services
+from service.server.fleet.home_assistant import show_mills
 from service.server.fleet.notifications import Delivery, list_ways_out, watch_mills
 
 _ABOUT = """A picture goes in; out come the programs that mill a block so that light through it paints the picture.
@@ -83,6 +84,8 @@ async def _life(services: Services) -> AsyncIterator[None]:
     if ways := list_ways_out(services.settings):
         delivery = Delivery(ways)
         behind += [delivery.run(), watch_mills(services.fleet, delivery.enqueue)]
+    if url := services.settings.mqtt_url:
+        behind.append(show_mills(services.fleet, url))
     tasks = [asyncio.create_task(work) for work in behind]
     await services.fleet.meet_agents()
     yield

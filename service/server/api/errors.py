@@ -108,7 +108,7 @@ _TABLE: list[tuple[type[Exception] | tuple[type[Exception], ...], Callable[[Exce
     (Problem, lambda error: error if isinstance(error, Problem) else Problem(500, "")),
     (SpecError, _of_spec),
     (PictureError, lambda error: Problem(422, str(error), field="image", kind=Kind.PICTURE)),
-    (InputError, lambda error: Problem(422, str(error))),
+    (InputError, lambda error: Problem(422, str(error), field=error.field if isinstance(error, InputError) else "")),
     (UnknownJobError, lambda error: Problem(404, str(error), field="id")),
     (UnknownArtifactError, lambda error: Problem(404, str(error), field="name")),
     (JobStateError, lambda error: Problem(409, str(error))),

@@ -63,7 +63,7 @@ class MillWatch:
         """Return the new notifications. Programs that were finished before the first look are not reported."""
         news = []
         for machine in machines:
-            trouble = _trouble_of(machine)
+            trouble = trouble_of(machine)
             if trouble and self._troubles.get(machine.name) != trouble:
                 news.append(self._describe_trouble(machine, trouble))
             self._troubles[machine.name] = trouble
@@ -91,7 +91,7 @@ class MillWatch:
         )
 
 
-def _trouble_of(machine: MachineView) -> str:
+def trouble_of(machine: MachineView) -> str:
     """Return why a mill needs a person, in words; nothing where it does not."""
     run, mill = machine.run, machine.mill or {}
     if not machine.agent.reachable:

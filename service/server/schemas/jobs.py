@@ -234,6 +234,20 @@ class ChangeView(Body):
     values: Annotated[dict[str, Any], Field(description="of the spec, by dotted key")]
 
 
+class PlanView(Body):
+    """A plan to choose from; its figures take the place of the estimate's."""
+
+    is_chosen: Annotated[bool, Field(description="the plan that the job follows otherwise")]
+    hours: Annotated[float, Field(ge=0)]
+    hand_min: Annotated[float | None, Field(description="work by hand after milling; null: none, or not known")]
+    passes: list[PassEstimate]
+    psnr_db: float
+    seen_db: float
+    smallest_detail_mm: float
+    wall: str
+    spec: Annotated[dict[str, Any], Field(description="merged into the spec, table by table, it selects this plan")]
+
+
 class EstimateView(Body):
     relief_mm: Annotated[float, Field(description="highest minus lowest point of the lens")]
     max_slope_deg: float
@@ -255,6 +269,13 @@ class EstimateView(Body):
         ),
     ]
     blur_by: BlurEstimate
+    plans: Annotated[
+        list[PlanView],
+        Field(
+            description="the quickest, the chosen and the best, each once, quickest first; none of a first look, or of "
+            "given passes"
+        ),
+    ]
     refusals: Annotated[list[ProblemField], Field(description="why the job would fail")]
     warnings: list[str]
     changes: Annotated[list[ChangeView], Field(description="single ones that may show more of the picture")]

@@ -21,7 +21,7 @@ from cam.posts.dialects import GRBL
 from cam.reading import gcode
 from cam.reading.gcode import ProgramError
 from cam.surface.stock_grid import StockGrid
-from cam.surface.stock_left import StockLeft, _deepest_in, find_excess
+from cam.surface.stock_left import ExcessFound, StockLeft, Unreached, _deepest_in, find_excess
 from optics.heightfield import Heightfield
 from tests.cam.checks import MILL
 from tests.cam.lenses import brute_force, make_lens
@@ -338,7 +338,20 @@ def test_a_pit_the_ball_cannot_enter_is_named_and_is_no_fault():
     assert len(result.unreached) == 1 and 0 < result.unreached_share < 0.05
     assert np.hypot(result.unreached[0].x_mm - 3, result.unreached[0].y_mm - 2) < 0.1
     assert 30 < result.unreached[0].excess_um < 200
-    assert any("cannot reach" in note for note in result.notes)
+    (note,) = [note for note in result.notes if "reach" in note]
+    assert f"cannot reach {100 * result.unreached_share:.2g} % of the lens" in note
+
+
+def test_what_no_ball_reaches_is_no_share_that_reads_as_nothing():
+    """One spot, high enough to be noted: "cannot reach 0.00032 %", with fewer digits "0 %"."""
+    spot = Unreached(x_mm=1.0, y_mm=2.0, excess_um=90.2, area_mm2=0.00405)
+    found = ExcessFound(excess_um=0.0, uncut_mm=0.0, x_mm=0.0, y_mm=0.0, unreached=(spot,), unreached_share=3.2e-6)
+    with patch("cam.checking.check.find_excess", lambda *_: found):
+        result = check(program(raster(bumpy())), bumpy())
+    (note,) = [note for note in result.notes if "reach" in note]
+    assert note == (
+        "the ball of radius 0.5 mm does not reach into every crease: it leaves 90 µm on 0.004 mm² at X1.00 Y2.00"
+    )
 
 
 def test_stock_to_leave_is_watched(lens):

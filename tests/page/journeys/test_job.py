@@ -38,9 +38,11 @@ def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focu
     page.get_by_label("Pitch").first.fill("9")
     page.get_by_text("All settings").click()
     fill(page, Height="30")
-    expect(bar.locator(".why")).to_have_text("Such a lens cannot be made. Look at:Pass 1")
-    bar.get_by_role("button", name="Pass 1").click()
-    expect(page.get_by_text("is wider than the ball's radius")).to_be_visible()  # the fold has opened
+    expect(bar.locator(".why")).to_have_text("Such a lens cannot be made. Look at:Pitch")
+    bar.get_by_role("button", name="Pitch").click()
+    pitch = page.get_by_label("Pitch").first
+    expect(pitch).to_be_focused()  # its fold has opened
+    expect(pitch).to_have_accessible_description("9 is wider than the ball's radius; allowed: 0.002 to radius_mm = 3.")
 
 
 @pytest.mark.thorough

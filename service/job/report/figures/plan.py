@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from textwrap import wrap
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,41 +15,31 @@ from service.job.report.figures.base import new_figure, panel_height, png_bytes
 from service.job.report.figures.wall import show_light
 from service.wording import ball, duration
 
-if TYPE_CHECKING:
-    from cam.planning.planner import Candidate
-    from service.job.planning.plan import Planned
-
 _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
+_WIDE_IN, _LEAST_WIDTH_IN = 3.1, 9.5  # of a picture; of the figure, so that the words of the curve fit
+_CAPTION_CHARS = 44  # as many as fit under a picture
 
 
 def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> bytes:
     """Draw target, three plans from quick to best, and the curve of all; the choice is marked."""
-    shown = _choose_shown(planned)
+    shown = planned.choices
     target = planned.light.target
     white = float(target.max())
     columns = 1 + len(shown)
-    wide = 3.1
-    tall = panel_height(wide, *target.shape)
-    figure = new_figure(wide * columns + 0.2, tall + 3.9)
-    above, below = np.atleast_1d(np.asarray(figure.subfigures(2, 1, height_ratios=(tall + 0.85, 3.05))))
+    tall = panel_height(_WIDE_IN, *target.shape)
+    figure = new_figure(max(_WIDE_IN * columns + 0.2, _LEAST_WIDTH_IN), tall + 4.1)
+    above, below = np.atleast_1d(np.asarray(figure.subfigures(2, 1, height_ratios=(tall + 1.05, 3.05))))
     panels = above.subplots(1, columns, squeeze=False)[0]
     _draw_picture(panels[0], picture_from_irradiance(target, viewed_from=viewed_from), white, "Picture wanted", "")
     for axes, one in zip(panels[1:], shown, strict=True):
         score = planned.score(one)
         title = f"{duration(3600 * one.hours)}: SSIM {score.ssim:.2f}, {one.psnr_db:.1f} dB"
-        words = f"{finish_words(one.finish)}\n" + ", ".join(
-            filter(None, (rest_words(one), f"blur {one.blur_mm:.2g} mm"))
-        )
+        rows = (finish_words(one.finish), rest_words(one), f"blur {one.blur_mm:.2g} mm")
+        words = "\n".join(line for row in rows if row for line in wrap(str(row), _CAPTION_CHARS))
         picture = picture_from_irradiance(planned.picture(one), viewed_from=viewed_from)
         _draw_picture(axes, picture, white, title, words, marked=one is planned.chosen)
     _draw_curve(below.subplots(), planned)
     return png_bytes(figure)
-
-
-def _choose_shown(planned: Planned) -> list[Candidate]:
-    """Return the quickest, the chosen and the best, each once, by time."""
-    chosen = (planned.plan.quickest, planned.chosen, planned.plan.best)
-    return [one for one in planned.plan.front if one in chosen]
 
 
 def _draw_picture(
@@ -70,7 +61,7 @@ def _draw_curve(axes: Axes, planned: Planned) -> None:
     axes.plot([chosen.hours], [chosen.psnr_db], "o", color=_MARK, markersize=9, zorder=3)
     words = f"chosen: ball {ball(chosen.finish.radius_mm)}, pitch {chosen.finish.pitch_mm:g} mm"
     if chosen.rest is not None:
-        words += f", then ball {ball(chosen.rest.spec.radius_mm)}"
+        words += f",\nthen ball {ball(chosen.rest.spec.radius_mm)}"
     late = chosen.hours**2 > hours[0] * hours[-1]  # in the right half of the axis
     axes.annotate(
         words, (chosen.hours, chosen.psnr_db), xytext=(4, -44) if late else (10, -16), textcoords="offset points",
@@ -103,4 +94,4 @@ def _ticks(low: float, high: float) -> list[float]:
         inside = [tick for tick in every if low * 0.99 <= tick <= high * 1.01]
         if len(inside) >= 3:
             return inside[:: -(-len(inside) // 9)]
-    return [round(low, 2), round(high, 2)]
+    return sorted({round(low, 2), round(high, 2)})

@@ -23,10 +23,11 @@ from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import read_picture
 from service.job.picture.resampling import resize
 from service.job.planning import estimate as estimating
-from service.job.planning.estimate import PIXELS, WALL_PIXELS, coarse_spec, estimate
+from service.job.planning.estimate import PIXELS, coarse_spec, estimate
 from service.job.planning.lens_facts import measure_lens
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
+from service.job.planning.predicted_light import WALL_PIXELS
 from service.job.spec import lens_task
 from service.job.spec.lens_task import lens_settings
 from service.job.spec.loading import resolve_spec

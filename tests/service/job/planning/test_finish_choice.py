@@ -13,7 +13,7 @@ from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from phrases.phrase import Phrase
 from service.errors import SpecError
-from service.job.planning.finish_choice import FinishedPlan, find_best, share_calibration
+from service.job.planning.finish_choice import FinishedPlan, find_best, trust_nearest
 from service.job.planning.finished_light import FinishedLight
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
@@ -121,12 +121,11 @@ def test_what_one_tool_does_not_reach_is_no_guess_for_another(best_on_a_rough_mi
     milled = PictureLight(target_of(64), best_on_a_rough_mill.light.bench)
     ways = [
         (replace(like, process=process), FinishedLight(milled, Finish(k0_rad_per_mm=k0, order=1.0)))
-        for process, k0 in (("felt", 2.0), ("felt", 3.0), ("sanding", 2.0))
+        for process, k0 in (("felt", 2.0), ("felt", 2.2), ("felt", 2.5), ("felt", 3.0), ("sanding", 2.0))
     ]
-    felt, light = ways[0]
-    light.contact_share = 0.5
-    share_calibration(FinishedPlan(plan=best_on_a_rough_mill.plan, finishing=felt, light=light), ways)
-    assert [light.contact_share for _, light in ways] == [0.5, 0.5, None]
+    ways[0][1].contact_share, ways[3][1].contact_share = 0.5, 0.9
+    trust_nearest(ways, {0, 3})
+    assert [light.contact_share for _, light in ways] == [0.5, 0.5, 0.9, 0.9, None]
 
 
 @pytest.mark.thorough

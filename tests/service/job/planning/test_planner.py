@@ -268,7 +268,7 @@ def test_the_command_speaks_json(picture: Path, capsys: pytest.CaptureFixture[st
     [
         (["--hours", "0.01"], ["plan.hours", "0.01", "quickest"]),
         (["--hours", "-1"], ["plan.hours", "from 0.01"]),
-        (["--hours", "1", "--blur-mm", "1"], ["plan", "one of them"]),
+        (["--hours", "1", "--blur-mm", "1"], ["plan.blur_mm", "one of them"]),
         (["-o", "plan.jpg"], ["plan.jpg", ".png"]),
         (["--tools", "/nowhere.toml"], ["/nowhere.toml"]),
         (["--machine", "haas"], ["machine.profile", "'haas'"]),

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from cam.passes import ball_pass
 from cam.planning.planner import Marks
@@ -19,6 +22,8 @@ from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.sentences import reasons
+from service.job.report.figures import plan
+from service.job.report.figures.base import png_bytes
 from service.job.report.figures.plan import plan_png
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
@@ -79,7 +84,27 @@ def test_it_is_said_why_and_shown_everywhere(sharp: Planned) -> None:
     (marked,) = [row for row in rows if row.startswith("->")]
     assert f"R{rest['radius_mm']:g} / {rest['pitch_mm']:g}" in marked
     assert [row["rest"] is not None for row in told["candidates"]] == [one.rest is not None for one in sharp.plan.front]
-    assert plan_png(sharp, viewed_from="lens").startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("shown", [1, 3])
+def test_no_word_of_the_picture_is_cut_or_covers_another(
+    sharp: Planned, shown: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rest pass makes the longest captions. With a single plan the figure has two pictures."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(plan, "png_bytes", lambda figure: (drawn.append(figure), png_bytes(figure))[1])
+    monkeypatch.setattr(plan, "finish_words", lambda _: "ball R 0.75 (Ø 1.5 mm), pitch 0.0125 mm, rows along Y")
+    front = (sharp.chosen,) if shown == 1 else sharp.plan.front
+    mill = replace(sharp.machine, name="roland-mdx-40a", z_noise_mm=0.0015)
+    some = replace(sharp, machine=mill, plan=replace(sharp.plan, front=front))
+    assert plan_png(some, viewed_from="lens").startswith(b"\x89PNG")
+    (figure,) = drawn
+    words = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text()]
+    boxes = [text.get_window_extent() for text in words]
+    for text, box in zip(words, boxes, strict=True):
+        assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1, text.get_text()
+        assert figure.bbox.y0 <= box.y0 and box.y1 <= figure.bbox.y1, text.get_text()
+    assert not [(one, other) for one, other in combinations(boxes, 2) if one.overlaps(other)]
 
 
 def test_its_spec_is_the_plan(sharp: Planned, tmp_path: object) -> None:

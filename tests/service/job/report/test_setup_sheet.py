@@ -108,6 +108,21 @@ def test_the_page_needs_no_network_and_no_scripts():
     assert sorted(page.links) == sorted(FILES)  # each file present is shown or linked once, and nothing else
 
 
+def test_four_pictures_stand_two_by_two():
+    walls = ["target.png", "caustic.png", "caustic-as-milled.png", "caustic-as-finished.png"]
+    for files in (walls[:3], walls):
+        first = next(
+            attrs["class"]
+            for tag, attrs in map(_named, Page(render_report(REPORT, files=files)).tags)
+            if tag == "div" and attrs.get("class", "").startswith("pair")
+        )
+        assert ("four" in first.split()) is (len(files) == 4)
+
+
+def _named(tag: tuple[str, list[tuple[str, str]]]) -> tuple[str, dict[str, str]]:
+    return tag[0], dict(tag[1])
+
+
 def test_pictures_that_are_not_there_are_not_shown():
     page = Page(render_report(REPORT, spec=SPEC, files=["target.png"]))
     assert page.links == ["target.png"]

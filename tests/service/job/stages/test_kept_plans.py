@@ -76,6 +76,29 @@ def test_an_exact_estimate_and_the_job_after_it_plan_once(tmp_path: Path, planne
     assert len(planned) == 2
 
 
+def test_an_estimate_offers_the_quickest_the_chosen_and_the_best_plan(tmp_path: Path) -> None:
+    """The chosen one has the figures of the estimate; a job with the values of another one follows that plan."""
+    spec = small("machine.profile=grbl", "finish.process=sanding", "image.pixels=32")
+    found = estimate_exactly(spec, tmp_path)
+    plans = found["plans"]
+    assert 2 <= len(plans) <= 3
+    for key in ("hours", "psnr_db"):
+        values = [one[key] for one in plans]
+        assert values == sorted(set(values))
+    (chosen,) = (one for one in plans if one["is_chosen"])
+    assert {key: found[key] for key in chosen if key in found and key != "spec"} == {
+        key: value for key, value in chosen.items() if key in found and key != "spec"
+    }
+    for one in plans:
+        data = spec.model_dump(mode="json", exclude_none=True)
+        given = {key: data[key] | value for key, value in one["spec"].items() if key != "passes"}
+        same = estimate_exactly(JobSpec.model_validate(data | given | {"passes": one["spec"]["passes"]}), tmp_path)
+        assert same["hours"] == pytest.approx(one["hours"], rel=0.1)
+        assert [row["tool"] for row in same["passes"]] == [row["tool"] for row in one["passes"]]
+        assert same["plans"] == []
+        assert one["hand_min"] == same["spec"]["finish"]["minutes"]
+
+
 def test_the_lens_of_a_plan_is_the_one_that_the_job_would_make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So its descent is done once, also if the plan was kept for an estimate; another lens has its own."""
     job = job_with_target(tmp_path, small("finish.process=sanding", "image.pixels=32"))

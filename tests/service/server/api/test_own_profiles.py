@@ -86,20 +86,21 @@ def test_a_profile_written_by_hand_is_neither_changed_nor_deleted(shop: Path, te
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "words"),
+    ("name", "values", "field", "words"),
     [
-        ("grbl", MINE, "built-in"),
-        ("mine", MINE | {"extends": "other"}, "extends = 'other': allowed: grbl"),
-        ("mine", MINE | {"step_mm": 2.0}, "step_mm = 2.0: allowed"),
-        ("mine", MINE | {"travel_mm": [300.0, 300.0, 4.0]}, "safe_z_mm = 5"),
-        ("mine", MINE | {"spindle_rpm": [9.0, 8.0]}, "slowest, fastest"),
+        ("grbl", MINE, "profile", "built-in"),
+        ("mine", MINE | {"extends": "other"}, "extends", "extends = 'other': allowed: grbl"),
+        ("mine", MINE | {"step_mm": 2.0}, "step_mm", "step_mm = 2.0: allowed"),
+        ("mine", MINE | {"travel_mm": [300.0, 300.0, 4.0]}, "travel_mm.2", "safe_z_mm = 5"),
+        ("mine", MINE | {"spindle_rpm": [9.0, 8.0]}, "spindle_rpm", "slowest, fastest"),
     ],
 )
 def test_what_cannot_be_is_refused_and_nothing_is_written(
-    shop: Path, name: str, values: dict[str, object], words: str
+    shop: Path, name: str, values: dict[str, object], field: str, words: str
 ) -> None:
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words) as refused:
         save_profile(name, values)
+    assert refused.value.field == field
     assert not list(shop.iterdir())
 
 
@@ -146,10 +147,10 @@ def test_new_jobs_are_planned_with_what_the_shop_has(server: ApiServer) -> None:
 def test_a_tool_that_cannot_be_is_refused_by_name_and_the_list_stays(server: ApiServer) -> None:
     usual = server.client.get("/v1/tools").json()
     first = usual["tools"][0]
-    for rows, words in (
-        ([first | {"flute_length_mm": 0.1}], "tool 1: flute_length_mm = 0.1"),
-        ([first, first], "no other tool has"),
+    for rows, field, words in (
+        ([first | {"flute_length_mm": 0.1}], "tools.0.flute_length_mm", "tool 1: flute_length_mm = 0.1"),
+        ([first, first], "tools", "no other tool has"),
     ):
-        assert words in problem(server.client.put("/v1/tools", json={"tools": rows}), 422)["detail"]
+        assert words in problem(server.client.put("/v1/tools", json={"tools": rows}), 422, field)["detail"]
     problem(server.client.put("/v1/tools", json={"tools": []}), 422, "tools")
     assert server.client.get("/v1/tools").json() == usual
