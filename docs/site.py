@@ -100,7 +100,7 @@ def main(folder: Path) -> None:
         "site_dir": str((folder.parent / "docs").absolute()),
         "theme": _THEME,
         "extra_css": ["site.css"],
-        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # so named, or the plugin asks the web for one
+        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # or the plugin asks the web for one
         "markdown_extensions": _EXTENSIONS,
         "plugins": ["search", "offline"],  # it is read from files, without a server
         "nav": [{part: [{title: page} for title, page in pages.items()]} for part, pages in NAV.items()],
