@@ -118,7 +118,9 @@ of the picture stays. The face is sharper, the grass is grass again, and the str
             "--set",
             "optics.throw_mm=250",
         ),
-        """The wall is two and a half times as far away as the lens is wide: a lens of less depth, and more blur.""",
+        """The wall is two and a half times as far away as the lens is wide. That makes the lens flat and quick to
+mill, and lets each error of its slope travel farther: streaks, soft edges, the buttons gone. The face is still a
+face, as it is a large shape in soft light.""",
     ),
 )
 HEAD = """# How good will it be?

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import Any
 
 from playwright.sync_api import Page, Route, expect
@@ -83,3 +84,10 @@ def with_plan(job: dict[str, Any], number: int, chosen: int = 2) -> dict[str, An
         "candidates": rows,
     }
     return like(job, number, report=job["report"] | {"plan": plan})
+
+
+def alike(seen_db: float) -> str:
+    """How the page words a likeness."""
+    percent = 100 * (1 - 10 ** (-seen_db / 10))
+    digits = 0 if percent < 97 else 1 if percent < 99.7 else 2
+    return f"{math.floor(percent * 10**digits) / 10**digits:g} % alike"

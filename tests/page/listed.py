@@ -15,7 +15,8 @@ def summary(number: int, state: str, **more: Any) -> dict[str, Any]:
         "id": address.rpartition("/")[2], "name": f"picture-{number}.png", "state": state, "stage": None,
         "progress": 0.42, "queue_position": None, "priority": "normal", "attempt": 1, "cancel_requested": False,
         "created_at": f"2026-11-21T08:{59 - number:02d}:00.000Z", "started_at": None, "ended_at": None, "error": None,
-        "image": {"sha256": "0" * 64, "bytes": 1}, "links": links, "etag": f'"{number}-{state}"',
+        "image": {"sha256": "0" * 64, "bytes": 1}, "lens_mm": [60.0, 40.0], "machine": "grbl",
+        "hours": 1.5, "links": links, "etag": f'"{number}-{state}"',
     }  # fmt: skip
     return body | more
 

@@ -39,6 +39,7 @@ _ANYBODY = {
     "name": "anonymous", "scopes": ["jobs:read", "jobs:write"], "anonymous": True, "paired": False, "expires_at": None,
 }  # fmt: skip
 _SIMULATED = MACHINE | {"name": "simulated", "simulated": True}
+ON_THE_MILL = canned_job.RUN_EXAMPLE["job"]
 GOING = "00000000-0000-4000-8000-00000000901a"  # a job that is worked on for ever
 Answer = Callable[..., Any]
 
@@ -81,6 +82,8 @@ class Stub:
     def job_told(self, _request: Request, job: str) -> dict[str, Any]:
         if job == GOING:
             return canned_job.job() | {"id": GOING, "state": "running", "progress": 0.4, "report": None, "programs": []}
+        if job == ON_THE_MILL:
+            return canned_job.job() | {"id": job}
         if job != canned_job.JOB_ID:
             raise Problem(404, f"there is no job {job}", field="id")
         return canned_job.job()

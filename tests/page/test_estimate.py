@@ -24,6 +24,7 @@ from tests.page.browser import Watched, open_blank
 from tests.page.canned_job import ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened, visit
 from tests.page.form import choose, fill, make_it, parts, picture, wall
+from tests.page.jobs import alike
 from tests.page.test_next_step import after
 
 
@@ -310,7 +311,7 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
     expect(shown.get_by_role("button")).to_have_text(
         ["A picture prepared for what will show", "A lens of 150 x 150 mm"]
     )
-    expect(shown.get_by_role("listitem").nth(1)).to_contain_text(likeness_in_words(12.0))
+    expect(shown.get_by_role("listitem").nth(1)).to_contain_text(alike(12.0))
     for number, level in enumerate((0.25, 0.5)):  # what the wall shows of each is of its own estimate
         expect(shown.get_by_role("listitem").nth(number).locator("img")).to_have_attribute("src", even(level)["wall"])
     shown.get_by_role("button", name="A lens of").click()

@@ -10,10 +10,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.job.spec.finish_library import built_in_processes, instruct_finishing
-from service.wording import likeness_in_words
 from tests.page import jobs
 from tests.page.browser import layout_faults, serious_faults
 from tests.page.conftest import Opened
+from tests.page.jobs import alike
 
 SEEN = {"psnr_db": 28.4, "seen_db": 18.0, "ssim": 0.81, "misplaced_light": 0.03, "smallest_detail_mm": 1.13}
 PROCESSES = built_in_processes()
@@ -44,7 +44,7 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
     for sentence in (*process.needs, *process.steps, *process.donts, process.removal, process.when_to_stop):
         expect(card).to_contain_text(sentence)
     expect(card).to_contain_text("10 min")  # a quarter of 100 cm2
-    expect(card).to_contain_text(likeness_in_words(SEEN["seen_db"]))
+    expect(card).to_contain_text(alike(SEEN["seen_db"]))
     expect(card.locator(".notice")).to_have_count(0)
     facts = page.locator(".expect-part")
     expect(facts).to_contain_text("On the wall, as finished")

@@ -19,7 +19,7 @@ from tests.page import canned_job
 from tests.page.browser import SIZES, open_blank
 from tests.page.canned_job import RUN_EXAMPLE
 from tests.page.conftest import Kept, Opened, visit
-from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, unfold, with_plan
+from tests.page.jobs import PLAN_HOURS, alike, answer, canned, like, shown, stopped_at, unfold, with_plan
 from tests.page.machine_states import NAME as MILL
 from tests.service.job.page_data.paths import split_header
 
@@ -80,7 +80,7 @@ def test_figures_in_words_are_those_of_the_report(at_job: Page) -> None:
     marks_mm = math.hypot(milled["blur_x_px"], milled["blur_y_px"]) * pixel_mm
     detail_mm = max(pixel_mm, math.hypot(2 * marks_mm, optics["tolerances"]["blur_mm"]))
     facts = at_job.locator(".facts")
-    expect(facts).to_contain_text(likeness_in_words(milled["seen_db"]))
+    expect(facts).to_contain_text(alike(milled["seen_db"]))
     assert not re.search(r"dB|PSNR|SSIM|rms", facts.inner_text()), "words for an eye; figures are folded away"
     at_job.get_by_text("Figures for experts").click()
     likeness = at_job.get_by_role("row", name="Likeness (PSNR)").get_by_role("cell")
@@ -96,11 +96,12 @@ def test_figures_in_words_are_those_of_the_report(at_job: Page) -> None:
 def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(modules: Page) -> None:
     """One scale of words, one way of saying times."""
     script = """([levels, times]) => Promise.all([import("/page/job/eye_words.js"), import("/page/lib/words.js")]).then(
-        ([{eyeWords}, {hours}]) => [levels.map(eyeWords), times.map(hours)])"""
+        ([{eyeWords, alikeWords}, {hours}]) => [levels.map(eyeWords), levels.map(alikeWords), times.map(hours)])"""
     levels = [step / 4 for step in range(20, 220)]
     times = [0, 59.4, 59.5, 89, 90, 3569, 3570, 9900, 86_369, 86_370, 90_000, 183_600]
     assert modules.evaluate(script, [levels, times]) == [
         [likeness_in_words(level) for level in levels],
+        [alike(level) for level in levels],
         [duration(seconds) for seconds in times],
     ]
 
@@ -112,7 +113,7 @@ HEADLINES = """([optics, milled, foretold]) => import("/page/job/figures.js").th
 
 def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modules: Page) -> None:
     """So that nobody who was told of a poor picture reads for a while only of a good one."""
-    designed, hard = {"seen_db": 22.0}, "hard to recognise"
+    designed, hard = {"seen_db": 22.0}, alike(8.0)
     first, second = modules.evaluate(HEADLINES, [designed, None, 8.0])
     assert first == ["On the wall, as milled", hard, "as predicted; the last steps simulate it"]
     assert second[0] == "On the wall, if polished"
@@ -415,7 +416,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")
     expect(rows).to_have_count(2)
     expect(rows.nth(1)).to_have_text(re.compile(r"Distance to the wall.*123 mm"))
-    for what, figure in (("On the wall, as milled", likeness_in_words(22.0)), ("Likeness (PSNR)", "31.5 dB")):
+    for what, figure in (("On the wall, as milled", alike(22.0)), ("Likeness (PSNR)", "31.5 dB")):
         better = page.get_by_role("row", name=what).get_by_role("cell", name="better")
         expect(better).to_have_text(re.compile(figure))
     expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()
@@ -439,6 +440,7 @@ def test_a_finished_job_is_its_light_and_two_screens_long_with_no_phrase_twice(o
     expect(page.get_by_role("img", name="On the wall, as milled")).to_be_in_viewport(ratio=1)
     expect(page.get_by_role("link", name=re.compile("^Send to "))).to_be_in_viewport(ratio=1)
     assert page.evaluate("document.documentElement.scrollHeight") <= 2 * SIZES[size][1]
+    unfold(page)
     expect(
         page.get_by_text(likeness_in_words(job["report"]["as_milled"]["seen_db"])).filter(visible=True)
     ).to_have_count(1)

@@ -269,8 +269,11 @@ def test_jobs_are_found_by_name_and_sorted_however_many_there_are(opened: Opened
     page.go_back()
     expect(page.locator(".job:visible")).to_have_count(3)
     expect(page.get_by_role("searchbox")).to_have_value("lens 1")
+    for words, found in (("11.PNG", 1), ("lens grbl done", 12), ("60 × 40 lens 3", 1), ("failed", 0)):
+        page.get_by_role("searchbox").fill(words)
+        expect(page.locator(".job:visible")).to_have_count(found)
     page.get_by_role("searchbox").fill("no such lens")
-    expect(page.get_by_text("No job has this in its name.")).to_be_visible()
+    expect(page.get_by_text("No job has all of these words.")).to_be_visible()
 
 
 @pytest.mark.thorough

@@ -6,7 +6,7 @@ import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { capital, hours, jobName, mm, thousands } from "../lib/words.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
-import { eyeWords } from "./eye_words.js";
+import { alikeWords } from "./eye_words.js";
 import { millSeconds, passesOf, smallestDetail } from "./figures.js";
 import { settingWords, valueWords } from "./setting_words.js";
 import { wipe } from "./wipe.js";
@@ -70,10 +70,10 @@ function pictures(sides, names, shelf) {
 const FIGURES = [
   [t("Time on the mill"), hours, -1, ({ job }) => millSeconds(job.report)],
   [t("Smallest detail"), mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
-  [t("On the wall, as milled"), eyeWords, 1, ({ job }) => job.report?.as_milled?.seen_db],
+  [t("On the wall, as milled"), alikeWords, 1, ({ job }) => job.report?.as_milled?.seen_db],
   [t("Likeness (PSNR)"), (value) => `${value.toFixed(1)} dB`, 1, ({ job }) => job.report?.as_milled?.psnr_db],
   [t("Likeness of structure (SSIM)"), (value) => t`${value.toFixed(3)} of 1`, 1, ({ job }) => job.report?.as_milled?.ssim],
-  [t("On the wall, if polished"), eyeWords, 1, ({ job }) => job.report?.optics?.seen_db],
+  [t("On the wall, if polished"), alikeWords, 1, ({ job }) => job.report?.optics?.seen_db],
   [t("Depth of the lens"), mm, 0, ({ job }) => job.report?.optics?.relief_mm],
   [t("Steepest slope"), (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
   [t("Lines of all programs"), thousands, 0, ({ job }) => linesOf(job.report)],

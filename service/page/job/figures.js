@@ -1,7 +1,7 @@
 /** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
 import { t } from "../lib/language.js";
 import { ball, hours, mm, passName, within } from "../lib/words.js";
-import { eyeWords } from "./eye_words.js";
+import { alikeWords } from "./eye_words.js";
 import { valueWords } from "./setting_words.js";
 
 const WORTH_DB = 0.3;
@@ -83,17 +83,17 @@ export function headlines(spec, report, predicted) {
 function seenByHand(report) {
   const seen = likenessOf(report?.as_finished), milled = likenessOf(report?.as_milled);
   if (seen === undefined) return null;
-  const before = milled === undefined ? [] : [[t("On the wall, straight from the mill"), eyeWords(milled)]];
-  return [[t("On the wall, as finished"), eyeWords(seen), t("after the work by hand below")], ...before];
+  const before = milled === undefined ? [] : [[t("On the wall, straight from the mill"), alikeWords(milled)]];
+  return [[t("On the wall, as finished"), alikeWords(seen), t("after the work by hand below")], ...before];
 }
 
 /** The likeness on the wall; a lens sharpened for the marks of its tool shows less without them. */
 function onTheWall(milled, polished, predicted) {
   const seen = milled ?? predicted ?? null, how = milled === undefined ? t("as predicted; the last steps simulate it") : "";
-  const shown = polished === undefined ? [] : [[t("On the wall, if polished"), eyeWords(polished)]];
+  const shown = polished === undefined ? [] : [[t("On the wall, if polished"), alikeWords(polished)]];
   if (seen === null) return shown.map((row) => [...row, t("as milled it may be less; the last steps show how much")]);
-  if (polished < seen) return [[t("On the wall"), eyeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
-  return [[t("On the wall, as milled"), eyeWords(seen), how], ...shown];
+  if (polished < seen) return [[t("On the wall"), alikeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
+  return [[t("On the wall, as milled"), alikeWords(seen), how], ...shown];
 }
 
 const SCORES = [

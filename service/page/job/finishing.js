@@ -3,7 +3,7 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm } from "../lib/words.js";
-import { eyeWords } from "./eye_words.js";
+import { alikeWords } from "./eye_words.js";
 import { fold } from "./fold.js";
 import { likenessOf } from "./figures.js";
 import { workClock } from "./work_clock.js";
@@ -35,7 +35,7 @@ export function finishingRows({ finishing, as_milled: milled, as_finished: finis
   if (finishing.levelled_mm) rows.push([t("Levels"), t`waves under ${mm(finishing.levelled_mm)}`]);
   if (finishing.run_out_mm) rows.push([t("Rims"), t`mask them, or finish ${mm(finishing.run_out_mm)} beyond the lens`]);
   for (const [words, seen] of [[t("The wall as milled"), milled], [t("The wall as finished"), finished]])
-    if (likenessOf(seen) !== undefined) rows.push([words, eyeWords(likenessOf(seen))]);
+    if (likenessOf(seen) !== undefined) rows.push([words, alikeWords(likenessOf(seen))]);
   if (finished?.smallest_detail_mm !== undefined) rows.push([t("Smallest detail, finished"), mm(finished.smallest_detail_mm)]);
   if (finished?.contact_share !== undefined) rows.push([t("The tool touches"), t`${(100 * finished.contact_share).toFixed(0)} % of the lens`]);
   return rows;

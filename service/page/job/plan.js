@@ -3,7 +3,7 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm, passName, sentence } from "../lib/words.js";
-import { alikeWords, eyeWords } from "./eye_words.js";
+import { alikeWords } from "./eye_words.js";
 import { fold } from "./fold.js";
 import { detailOfPlan, passWords } from "./figures.js";
 
@@ -43,7 +43,7 @@ function inWords(job, row, k, made) {
   const passes = row.spec.passes ?? [], own = k === made;
   return [
     h("h3", {}, t`${hours(row.hours * 3600)}: details under ${mm(detailOfPlan(job.spec, row))} will blur`),
-    h("p", {}, t`On the wall: ${eyeWords(row.seen_db)} `, h("small", { class: "dim" }, `(${alikeWords(row.seen_db)}, ${row.psnr_db.toFixed(1)} dB)`)),
+    h("p", {}, t`On the wall: ${alikeWords(row.seen_db)} `, h("small", { class: "dim" }, `(${row.psnr_db.toFixed(1)} dB)`)),
     row.warning && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, sentence(row.warning))),
     h("ol", { class: "plan-passes" }, passes.map((pass, n) => passRow(pass, row.hours_by_pass?.[n]))),
     own

@@ -5,7 +5,9 @@ import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { stateMark } from "../lib/state.js";
 import { whenSeen } from "../lib/when_seen.js";
-import { ago, jobName, percentUnderWay } from "../lib/words.js";
+import { ago, hours, jobName, percentUnderWay } from "../lib/words.js";
+
+const LEAST_ID = 6; // digits: any shorter part is in some id
 
 /** {element, pick: its tick, where many are chosen, update(job), free()} */
 export function jobCard(first) {
@@ -13,12 +15,12 @@ export function jobCard(first) {
   const name = h("span", { class: "name" });
   const state = h("span", { class: "state" });
   const bar = h("progress", { max: 1, "aria-label": t("Done") });
-  const note = h("span", { class: "note dim" });
+  const note = h("span", { class: "note dim" }), what = h("span", { class: "note" });
   const link = h(
     "a",
     { class: "card job" },
     h("span", { class: "frame" }, image),
-    h("span", { class: "facts" }, name, state, bar, note),
+    h("span", { class: "facts" }, name, what, state, bar, note),
   );
   const pick = h("input", { type: "checkbox", "aria-label": t`Select ${jobName(first)}` });
   const element = h("li", {}, link, h("label", { class: "pick" }, pick));
@@ -36,6 +38,7 @@ export function jobCard(first) {
     bar.hidden = job.state !== "running";
     bar.value = job.progress;
     write(note, noteOf(job));
+    write(what, factsOf(job).join(" · "));
     element.dataset.state = job.state;
   }
 
@@ -51,13 +54,24 @@ function stateWords(job) {
   return undefined;
 }
 
+/** Size of the lens, mill, and hours on it, as far as they are known. */
+function factsOf({ lens_mm: lens, machine, hours: inHours }) {
+  return [lens && `${lens.join(" × ")} mm`, machine, inHours && hours(3600 * inHours)].filter(Boolean);
+}
+
+/** Whether each of these words, in small letters, is in its name, picture, mill, size or state, or begins its id. */
+export function isFound(job, words) {
+  const text = [job.name, stateMark(job.state).textContent, ...factsOf({ ...job, hours: null })].join(" ").toLowerCase();
+  return words.every((word) => text.includes(word) || (word.length >= LEAST_ID && job.id.startsWith(word)));
+}
+
 function noteOf(job) {
   if (job.state === "failed" && job.error) return job.error.detail;
   return ago(job.ended_at ?? job.started_at ?? job.created_at, api.now());
 }
 
 /** The small picture of a job, fetched when it comes into sight: {show(path), free()}; another one takes its place once it is there. */
-function thumbnail(image) {
+export function thumbnail(image) {
   let wanted = null, shown = null;
   const seen = whenSeen(image, load);
 

@@ -9,7 +9,7 @@ import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
 import { gallery } from "../new/gallery.js";
-import { jobCard } from "./card.js";
+import { isFound, jobCard } from "./card.js";
 
 const FILTERS = [
   ["all", t("All"), [], ""],
@@ -77,7 +77,7 @@ function addressOf(asked) {
 /** Which jobs, searched and sorted how; and the choice of many, to delete them. What is asked stays in the address. */
 function toolbar(asked, list) {
   const links = FILTERS.map(([key, words]) => h("a", { class: "button", "aria-current": key === asked.show ? "true" : null }, words));
-  const search = h("input", { type: "search", value: asked.q, placeholder: t("Search"), "aria-label": t("Search by name"), oninput: () => change({ q: search.value.trim() }) });
+  const search = h("input", { type: "search", value: asked.q, placeholder: t("Search"), "aria-label": t("Search by name, mill, state or number"), oninput: () => change({ q: search.value.trim() }) });
   const options = Object.entries(SORTS).map(([value, [words]]) => h("option", { value, selected: value === asked.sort }, words));
   const sort = h("select", { "aria-label": t("Order"), onchange: () => change({ sort: sort.value }) }, options);
   const pick = h("button", { type: "button", "aria-pressed": "false", onclick: () => setPicking(!list.picking) }, t("Select"));
@@ -196,7 +196,7 @@ function jobList(states, none, asked) {
     page.jobs.forEach(put);
   }
 
-  /** By name, or in another order, all count: those that were not needed so far are asked for. */
+  /** For a search, or in another order, all count: those that were not needed so far are asked for. */
   async function ask() {
     announce();
     while (next && (asked.q || asked.sort) && cards.size < MOST) await loadOlder(WHOLE_PAGE);
@@ -219,11 +219,11 @@ function jobList(states, none, asked) {
 
   /** Move only the cards whose place has changed: the others keep the focus. */
   function arrange() {
-    const wanted = asked.q.toLowerCase();
+    const wanted = asked.q.toLowerCase().split(/\s+/);
     const rows = [...cards.values()].sort((a, b) => SORTS[asked.sort][1](a.job, b.job));
     let before = made.element.firstElementChild;
     for (const { card, job } of rows) {
-      card.element.hidden = !jobName(job).toLowerCase().includes(wanted);
+      card.element.hidden = !isFound(job, wanted);
       if (card.element === before) before = before.nextElementSibling;
       else made.element.insertBefore(card.element, before);
     }
@@ -262,7 +262,7 @@ function jobList(states, none, asked) {
   function announce() {
     const shown = arrange();
     made.empty.hidden = shown > 0 || (states.length === 0 && !asked.q);
-    write(made.empty, asked.q ? t("No job has this in its name.") : none);
+    write(made.empty, asked.q ? t("No job has all of these words.") : none);
     made.more.hidden = !next;
     made.onChange({ known: cards.size, shown, active: active() });
   }

@@ -1,12 +1,14 @@
 /** All mills of the shop on one screen: the state and progress of each, and HOLD, which keeps its place. */
 
+import { api } from "../lib/api.js";
 import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { isDry, mark, shape } from "../lib/state.js";
 import { percentUnderWay, sentence } from "../lib/words.js";
+import { thumbnail } from "../jobs/card.js";
 import { isHeld, isLive, mills } from "./mills.js";
 import { notifySwitch } from "./notify.js";
-import { addressOf, leftWords, millWords, outOfReach, standingInShop } from "./words.js";
+import { addressOf, leftWords, millWords, outOfReach, programWords, standingInShop } from "./words.js";
 
 export default async function view(root, _params, app) {
   await sheet("/page/machine/machine.css");
@@ -48,7 +50,8 @@ function card(name) {
   const alarm = h("p", { class: "arrived", role: "alert" });
   const share = h("strong", {});
   const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
-  const meter = h("div", { class: "cut" }, bar, share);
+  const picture = h("img", { class: "wall-seen", width: 72, height: 72, alt: "" }), wall = thumbnail(picture);
+  const meter = h("div", { class: "cut" }, picture, bar, share);
   const words = h("p", { class: "words" });
   const about = h("p", { class: "dim" });
   const link = h("a", { href: addressOf(name) }, name);
@@ -61,21 +64,33 @@ function card(name) {
     words,
     about,
   );
-  let drawn = "";
+  let drawn = "", lens = { id: "", name: "" };
+
+  /** What is being cut: the wall of its job, and its name. */
+  async function showJob(id) {
+    lens = { id, name: "" };
+    const job = id && (await api.get(`/v1/jobs/${id}`, { quiet: true }).catch(() => null));
+    if (lens.id !== id) return;
+    lens.name = job?.name ?? "";
+    picture.classList.toggle("there", Boolean(job));
+    wall.show(job ? job.links.picture : null);
+  }
 
   function update(machine) {
     const { kind, word } = standingInShop(machine);
     if (`${kind} ${word}` !== drawn) replace(state, mark(kind, word));
     drawn = `${kind} ${word}`;
     const { simulated, control, profile, run } = machine;
-    const cut = run?.share > 0;
+    const cut = run?.share > 0, job = run?.job ?? "";
+    if (job !== lens.id) showJob(job);
     hold.style.visibility = isLive(machine) ? "visible" : "hidden";
     hold.classList.toggle("taken", isHeld(machine));
     write(alarm, mills.stopper(name).words);
     write(share, cut ? percentUnderWay(run.share) : "");
-    meter.style.visibility = cut ? "visible" : "hidden";
+    meter.style.visibility = run ? "visible" : "hidden";
+    bar.style.visibility = cut ? "inherit" : "hidden";
     bar.value = run?.share ?? 0;
-    write(words, [run && (isDry(run) ? t`Dry pass of ${run.program}` : run.program), whyWords(machine) || (cut && leftWords(run, simulated))].filter(Boolean).join(": "));
+    write(words, [run && programWords(isDry(run) ? t`Dry pass of ${run.program}` : run.program, lens.name), whyWords(machine) || (cut && leftWords(run, simulated))].filter(Boolean).join(": "));
     write(about, [simulated ? t("Simulated: no real mill moves") : profile?.description, control && t`${control.operator} has control`].filter(Boolean).join(" · "));
   }
   return { node, update };

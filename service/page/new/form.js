@@ -106,7 +106,7 @@ export function specForm({ profiles, onChange, planned }) {
     const unplaced = [];
     for (const problem of problems) {
       const key = problem.field.startsWith("spec.") ? problem.field.slice("spec.".length) : "";
-      const found = rowFor(all, key) ?? (valueAt(rest.value([]), key) !== undefined && rest);
+      const found = rowFor(all, key) ?? (valueAt(readRow(rest, []), key) !== undefined && rest);
       if (found) faults.set(found, [...(faults.get(found) ?? []), problem]);
       else unplaced.push(problem);
     }

@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { freshKey, hours, sentence } from "../lib/words.js";
-import { eyeWords, isHard } from "../job/eye_words.js";
+import { alikeWords, isHard } from "../job/eye_words.js";
 import { put } from "./spec.js";
 
 const WORTH_DB = 1;
@@ -99,7 +99,7 @@ export function improvements({ make, take }) {
       "li",
       {},
       h("button", { type: "button", onclick: () => take(change) }, h("img", { class: "outcome", src: seen.wall, alt: "" }), h("span", {}, sentence(change.what).replace(/[.。]$/, ""))),
-      h("small", {}, [eyeWords(now.exact.seen_db + seen.seen_db - now.estimate.seen_db), hours(3600 * seen.hours)].join(", ")),
+      h("small", {}, [alikeWords(now.exact.seen_db + seen.seen_db - now.estimate.seen_db), hours(3600 * seen.hours)].join(", ")),
     );
 
   return { element, show, focus, reconsider, stop };

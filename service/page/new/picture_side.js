@@ -2,7 +2,7 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { eyeWords } from "../job/eye_words.js";
+import { eyeWords, isFine } from "../job/eye_words.js";
 import { putAway } from "./draft.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
@@ -99,6 +99,7 @@ export function pictureSide({ spec, values, plans, onChange, onOpening }) {
     await light?.decode();
     if (now.estimate !== estimate) return; // something was changed meanwhile
     now.light = light;
+    wallNote.classList.toggle("fine", !first && isFine(estimate.seen_db));
     write(wallNote, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.seen_db));
     seen.draw();
   }

@@ -11,7 +11,16 @@ from service.job.stages.table import usual_seconds
 from service.server.api.services import Services
 from service.server.database.job_rows import sort_programs
 from service.server.database.jobs import MOST_POSITIONS
-from service.server.database.records import Artifact, Job, JobListRow, JobState, Progress, StageRun, priority_word
+from service.server.database.records import (
+    Artifact,
+    Job,
+    JobFacts,
+    JobListRow,
+    JobState,
+    Progress,
+    StageRun,
+    priority_word,
+)
 from service.server.schemas.jobs import ArtifactView, ImageView, JobError, JobSummary, JobView, ProgramView, StageView
 
 _MEDIA_TYPES = {
@@ -30,9 +39,9 @@ _NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is as
 
 
 def make_summary(
-    job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None
+    job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None, facts: JobFacts | None
 ) -> JobSummary:
-    """Make a job as the list shows it; `picture` is the artifact to show for it."""
+    """Make a job as the list shows it; picture: the artifact to show for it; facts: None if it has changed."""
     address = f"/v1/jobs/{job.id}"
     links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
     links["archive"] = f"{address}/archive.zip"
@@ -53,6 +62,9 @@ def make_summary(
         ended_at=job.ended_at,
         error=None if job.error is None else JobError(**job.error),
         image=ImageView(sha256=job.image_sha256, bytes=job.image_bytes),
+        lens_mm=None if facts is None else facts.lens_mm,
+        machine=None if facts is None else facts.machine,
+        hours=None if facts is None else facts.hours,
         links=links,
         etag=etag(job, position=position, progress=progress),
     )
@@ -69,7 +81,11 @@ def make_view(
 ) -> JobView:
     """Make a job with its report, spec, stages and programs."""
     return JobView(
-        **dict(make_summary(job, position=position, progress=progress, picture=picture)),
+        **dict(
+            make_summary(
+                job, position=position, progress=progress, picture=picture, facts=JobFacts.of(job.spec, job.report)
+            )
+        ),
         report=job.report,
         spec=job.spec,
         stages=_stages(job, runs),
@@ -147,10 +163,16 @@ def read_summaries(services: Services, jobs: Sequence[JobListRow]) -> list[JobSu
     running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
     progress = book.read_news(running).progress
     pictures = book.list_pictures([job.id for job in jobs])
-    places = [_position(job, positions) for job in jobs]
+    facts = book.read_facts(jobs)
     return [
-        make_summary(job, position=place, progress=progress.get(job.id), picture=pictures.get(job.id))
-        for job, place in zip(jobs, places, strict=True)
+        make_summary(
+            job,
+            position=_position(job, positions),
+            progress=progress.get(job.id),
+            picture=pictures.get(job.id),
+            facts=facts.get(job.id),
+        )
+        for job in jobs
     ]
 
 

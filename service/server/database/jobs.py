@@ -4,7 +4,7 @@ workers are in service/server/database/claims.py. Both lock the job's row before
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 from uuid import uuid4
@@ -42,6 +42,7 @@ from service.server.database.records import (
     Artifact,
     Job,
     JobEvent,
+    JobFacts,
     JobListRow,
     JobOnMillError,
     JobState,
@@ -57,6 +58,7 @@ from service.server.database.tables import artifacts, idempotency_keys, jobs, st
 from service.store.base import Store
 
 NAME_CHARS = 255
+_MOST_FACTS = 5000
 MOST_POSITIONS = 1000  # places in the queue that are counted: behind so many jobs the exact place does not matter
 _PICTURES = (*THUMBNAILS, TARGET_PICTURE)  # jobs of earlier versions have only the large one
 _SUMMARY = [jobs.c[field.name] for field in fields(JobListRow)]
@@ -68,6 +70,7 @@ class JobBook:
     def __init__(self, database: sa.Engine, store: Store | None = None) -> None:
         self.database = database
         self._store = store
+        self._facts: dict[tuple[str, int], JobFacts] = {}  # by job and version
 
     # ------------------------------------------------------------------ making and changing
 
@@ -146,6 +149,19 @@ class JobBook:
             queries = [query.where(jobs.c.state == str(state)) for state in set(states)] or [query]
             found = [JobListRow.of(row) for one in queries for row in connection.execute(one).mappings()]
         return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
+
+    def read_facts(self, rows: Sequence[JobListRow]) -> dict[str, JobFacts]:
+        """Return what a list shows of spec and report, by job; kept by version, for a report takes a while to read."""
+        unknown = [row.id for row in rows if (row.id, row.version) not in self._facts]
+        query = sa.select(jobs.c.id, jobs.c.version, jobs.c.spec, jobs.c.report).where(jobs.c.id.in_(unknown))
+        if unknown:
+            with begin_reading(self.database) as connection:
+                for row in connection.execute(query):
+                    self._facts[row.id, row.version] = JobFacts.of(row.spec, row.report)
+        found = {row.id: self._facts[row.id, row.version] for row in rows if (row.id, row.version) in self._facts}
+        while len(self._facts) > _MOST_FACTS:
+            del self._facts[next(iter(self._facts))]
+        return found
 
     def list_stages(self, job_id: str) -> list[StageRun]:
         """Return every try of every stage, in the order in which they began."""

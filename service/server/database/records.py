@@ -190,6 +190,25 @@ class JobListRow(_Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JobFacts:
+    """What a list shows of a job's spec and report; hours: of all programs, once they are known."""
+
+    lens_mm: tuple[float, float]
+    machine: str
+    hours: float | None
+
+    @classmethod
+    def of(cls, spec: Json, report: Json | None) -> JobFacts:
+        programs = [*(report or {}).get("passes", ()), *(report or {}).get("around", {}).values()]
+        times_s = [row.get("time_s") for row in programs]
+        return cls(
+            lens_mm=(spec["optics"]["width_mm"], spec["optics"]["height_mm"]),
+            machine=spec["machine"]["profile"],
+            hours=sum(times_s) / 3600 if times_s and all(times_s) else None,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job(JobListRow):
     """A whole row of `jobs`."""
 

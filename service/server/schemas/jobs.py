@@ -96,6 +96,9 @@ class JobSummary(Body):
     ended_at: Time | None
     error: JobError | None
     image: ImageView
+    lens_mm: Annotated[tuple[float, float] | None, Field(description="width and height of the lens")]
+    machine: Annotated[str | None, Field(description="profile of the mill that the job is for")]
+    hours: Annotated[float | None, Field(description="of all programs; null: not known yet")]
     links: Annotated[
         dict[str, str],
         Field(description="`picture`: what the wall will show, small; until that is known, what it is to show"),

@@ -205,6 +205,29 @@ def test_a_job_s_picture_is_of_what_the_wall_will_show_and_small(server: ApiServ
         assert listed["links"].get("picture") == looked["links"].get("picture") == wanted
 
 
+def test_a_list_shows_lens_mill_and_hours_of_each_job(server: ApiServer) -> None:
+    """Hours are those of all programs, as soon as every time is known."""
+    spec = {"optics": {"width_mm": 40.0, "height_mm": 30.0}, "machine": {"profile": "grbl-3018"}}
+    made = server.submit(data={"spec": json.dumps(spec)})["id"]
+    listed = next(one for one in server.client.get("/v1/jobs").json()["jobs"] if one["id"] == made)
+    looked = server.client.get(f"/v1/jobs/{made}").json()
+    for found in (listed, looked):
+        assert (found["lens_mm"], found["machine"], found["hours"]) == ([40.0, 30.0], "grbl-3018", None)
+
+
+@pytest.mark.parametrize(
+    ("report", "hours"),
+    [
+        (None, None),
+        ({"passes": [{"time_s": 1800.0}]}, 0.5),
+        ({"passes": [{"time_s": 1800.0}, {"time_s": 900.0}], "around": {"cut-out": {"time_s": 900.0}}}, 1.0),
+        ({"passes": [{"time_s": 1800.0}, {"time_s": None}]}, None),
+    ],
+)
+def test_hours_of_a_job_are_those_of_all_its_programs(report: dict[str, object] | None, hours: float | None) -> None:
+    assert make_view(job(report), position=None, progress=None, picture=None, runs=(), files=()).hours == hours
+
+
 BALL = {"radius_mm": 3.0, "pitch_mm": 0.2}
 
 
