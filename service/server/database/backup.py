@@ -3,9 +3,9 @@ with every hash checked, or not at all.
 
 The order makes it consistent: first the engine's database, then that of the jobs, then the objects. Tickets that the
 engine lacks are submitted again, outdated ones end at once, and every object that a job names already existed. Not
-included: data of the agents of mills (a mill's position is only true of that mill at that time), scratch files and
-uploads. The last member, `manifest.json`, lists the contents: a backup without it is incomplete. `verify_store` checks
-that every object of the store still matches its name.
+included: data of the agents of mills (a mill's position is only true of that mill at that time), timelapses, scratch
+files and uploads. The last member, `manifest.json`, lists the contents: a backup without it is incomplete.
+`verify_store` checks that every object of the store still matches its name.
 """
 
 from __future__ import annotations
