@@ -114,7 +114,7 @@ def test_a_finish_is_estimated_as_the_job_plans_it(monkeypatch: pytest.MonkeyPat
     assert (job, whole) == (look_up(spec), None)
     assert planned.finishing is not None
     assert (found["exact"], exact["exact"]) == (False, True)
-    for one, apart_db in ((found, 0.75), (exact, 1e-9)):
+    for one, apart_db in ((found, 1.0), (exact, 1e-9)):
         assert one["psnr_db"] == pytest.approx(planned.score(planned.chosen).psnr_db, abs=apart_db)
         assert one["hours"] == pytest.approx(planned.chosen.hours, rel=0.1)
 
