@@ -119,7 +119,7 @@ def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modul
     assert second[0] == "On the wall, if polished"
     (only,) = modules.evaluate(HEADLINES, [designed, None, None])
     assert only[0] == "On the wall, if polished" and "as milled it may be less" in only[2]
-    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.5}, 20.0])[0] == ["On the wall, as milled", hard, ""]
+    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.0}, 20.0])[0] == ["On the wall, as milled", hard, ""]
 
 
 LEFT = """(rows) => import("/page/job/left.js").then(({secondsLeft, leftWords}) => rows.map(([job, live, now]) => {
