@@ -26,7 +26,7 @@ export function showNeeds(section, estimate) {
     section.classList.toggle("whole", !missing);
   };
   count();
-  replace(section, title, h("ul", { class: "needs" }, rows.map(line)));
+  replace(section, title, h("ul", { class: "shopping" }, rows.map(line)));
 }
 
 /** The block with its margin and with what is faced off; has: whether the person's own is large enough, where its size is stated. */
