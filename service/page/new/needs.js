@@ -23,7 +23,6 @@ export function showNeeds(section, estimate) {
   const count = () => {
     const missing = rows.filter(({ words, has }) => !(has ?? have.has(words))).length;
     write(title, !missing ? t("You have all of it") : missing === rows.length ? t("Shopping list: tick what you have") : t`Shopping list: ${missing} of ${rows.length} to get`);
-    section.classList.toggle("whole", !missing);
   };
   count();
   replace(section, title, h("ul", { class: "shopping" }, rows.map(line)));
