@@ -37,10 +37,9 @@ def main(folder: Path) -> None:
         page.get_by_role("button", name="Make the lens").click()
         send = page.get_by_role("link", name="pass-1-rough.nc").first
         expect(send).to_be_visible(timeout=JOB_MS)
-        expect(page.get_by_text("setup sheet").first).to_be_visible(timeout=JOB_MS)
         job = page.url.rpartition("/")[2]
         shop.succeeded(job)
-        page.reload()
+        page = _open(browser, shop, f"#/jobs/{job}")
         page.wait_for_timeout(4000)  # its pictures are drawn
         _take(page, folder / "job.webp")
 
@@ -74,7 +73,8 @@ def _choose(page: Page) -> None:
 
 
 def _take(page: Page, file: Path, *, width: int = WIDTH) -> None:
-    """Write what the window shows, as good as the size allows."""
+    """Write what the window shows, from the top of the page, as good as the size allows."""
+    page.evaluate("() => { document.activeElement?.blur(); scrollTo(0, 0); }")
     shown = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     shown = shown.resize((width, round(shown.height * width / shown.width)), Image.Resampling.LANCZOS)
     for quality in range(88, 20, -8):

@@ -61,8 +61,9 @@ Sanding takes most of them off, and with them the finest parts of the picture.""
             "--machine",
             "grbl",
         ),
-        """The best of the six: this picture has little fine detail to lose. If you may choose, choose one like
-it.""",
+        """The highest figure of the six: large shapes with soft light on them. What is dark beside a highlight goes
+first: the front of the cup and the spoon are lost. If you may choose a picture, choose one with large shapes and no
+deep shadows.""",
     ),
     Lens(
         "cat",
@@ -104,7 +105,8 @@ radius of the ball, or twice the distance to the wall, halves it.""",
             "--machine",
             "roland-mdx-40a",
         ),
-        """Steps of 2 µm in place of 4, and half the error from row to row: fewer streaks in the sky.""",
+        """Steps of 2 µm in place of 4, and half the error from row to row: less for the sanding to take off, and more
+of the picture stays. The face is sharper, the grass is grass again, and the streaks are finer.""",
     ),
     Lens(
         "astronaut",
@@ -116,7 +118,9 @@ radius of the ball, or twice the distance to the wall, halves it.""",
             "--set",
             "optics.throw_mm=250",
         ),
-        """The wall is two and a half times as far away as the lens is wide: a lens of less depth, and more blur.""",
+        """The wall is two and a half times as far away as the lens is wide. That makes the lens flat and quick to
+mill, and lets each error of its slope travel farther: streaks, soft edges, the buttons gone. The face is still a
+face, as it is a large shape in soft light.""",
     ),
 )
 HEAD = """# How good will it be?
@@ -170,7 +174,7 @@ def draw(job: Path, file: Path) -> None:
 
 
 def measures(job: Path) -> dict[str, float]:
-    """Return hours of milling, minutes by hand, the likeness of three surfaces [dB], and the loss by a wall 1 % off [dB]."""
+    """Return hours of milling, minutes by hand, the likeness of three surfaces and the loss by a wall 1 % off [dB]."""
     report: dict[str, Any] = json.loads((job / "report.json").read_text())
     throw_mm = json.loads((job / "spec.json").read_text())["optics"]["throw_mm"]
     focus = [(row["offset_mm"], row["psnr_db"]) for row in report["optics"]["tolerances"]["focus"]]

@@ -100,7 +100,7 @@ def main(folder: Path) -> None:
         "site_dir": str((folder.parent / "docs").absolute()),
         "theme": _THEME,
         "extra_css": ["site.css"],
-        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # the plugin's own would come from the web
+        "extra": {"polyfills": ["search-in-files.js"], "generator": False},  # the plugin's own would come from the web
         "markdown_extensions": _EXTENSIONS,
         "plugins": ["search", "offline"],  # it is read from files, without a server
         "nav": [{part: [{title: page} for title, page in pages.items()]} for part, pages in NAV.items()],

@@ -143,6 +143,19 @@ def test_the_site_has_every_page_of_docs_every_command_and_every_route(tmp_path:
     assert all(route in routes for route in ("POST /v1/jobs", "GET /v1/jobs/{id}"))
 
 
+def test_likeness_is_stated_only_where_the_bench_measures_it() -> None:
+    """A page that states dB names the section of `make bench` that measures them. Programs write the others."""
+    written = {"paper.md", "how-good.md", "keys.md", "soak.md"}
+    for name in (name for name in PAGES if name not in written):
+        text = (TOP / "docs" / name).read_text(encoding="utf-8")
+        states = re.search(r"\d dB", re.sub(r"about \d dB|more than 0\.3 dB", "", text))  # limits of warnings
+        named = set(re.findall(r"section `(\w+)`", text))
+        assert bool(named) >= bool(states), name
+        assert named <= set(re.findall(r'^    "(\w+)": ', (TOP / "tests/benchmarks/__main__.py").read_text(), re.M)), (
+            name
+        )
+
+
 def test_every_setting_of_the_server_is_described() -> None:
     assert site.describe_settings().keys() == ServerSettings.model_fields.keys()
     assert all(f"`{name}`" in ALL for name in ("KEEP_DAYS", "QUOTA_MB", "FREE_DISK_MB"))

@@ -257,9 +257,11 @@ class Mill:
         self._closed = True
         try:
             self._switch_spindle_off()
-            self._link.close()
         finally:
-            self._runs.close()
+            try:
+                self._link.close()
+            finally:
+                self._runs.close()
 
     def _switch_spindle_off(self) -> None:
         """Wait a moment until the controller has switched off a spindle that a person has switched on."""

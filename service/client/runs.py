@@ -67,7 +67,7 @@ def state_line(run: dict[str, Any]) -> str:
     if run["state"] in ("running", "holding", "held", "recovering"):
         left_s = run.get("time_left_s")
         left = f", {duration(left_s)} left" if isinstance(left_s, int | float) else ""
-        return f"{run['state']}, {100 * float(run['share']):.1f} % of {run.get('lines') or 0:,} lines{left}{words}"
+        return f"{run['state']}, {100 * float(run['share']):.1f} % of its time{left}{words}"
     return f"{clean(run['state'])}{words}"
 
 
@@ -75,6 +75,8 @@ def setup_lines(run: dict[str, Any]) -> list[str]:
     """Return tool, block and zero of a waiting run, or the next step after a finished one."""
     setup = run.get("setup") or {}
     lines = []
+    if (lift_mm := run.get("lift_mm")) is not None:
+        lines.append(f"dry pass: {lift_mm:g} mm higher, spindle and coolant off; it never counts as cut")
     if run["state"] in ("preparing", "parked"):
         tool, stock = setup.get("tool") or {}, setup.get("stock") or {}
         size = " x ".join(f"{stock.get(name) or 0:g}" for name in ("width_mm", "height_mm", "thickness_mm"))

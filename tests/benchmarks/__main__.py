@@ -2,7 +2,7 @@
 
 Figures are ratios within this run or best-of-several times on this machine; none of them is asserted.
 Name sections to run only those:
-python -m tests.benchmarks transport contact accuracy programs contour milled make lenses server stops page jobs
+python -m tests.benchmarks transport contact accuracy programs contour milled make lenses documents server stops page
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from tests.benchmarks import (  # noqa: E402
     black,
     contact,
     contour,
+    documents,
     frames,
     how_good,
     lights,
@@ -53,6 +54,7 @@ SECTIONS = {
     "milled": milled.figures,
     "make": whole.figures,
     "lenses": how_good.figures,
+    "documents": documents.figures,
     "server": server.figures,
     "stops": stops.figures,
     "jobs": jobs.figures,

@@ -253,6 +253,37 @@ def test_the_camera_beside_the_mill_shows_what_is_there_now_or_nothing(opened: O
     expect(page.locator(".camera")).to_be_hidden()
 
 
+def test_the_pictures_kept_of_a_run_are_played(opened: Opened) -> None:
+    page = open_blank(opened, "machine")
+    file = io.BytesIO()
+    Image.new("RGB", (8, 6), "red").save(file, "JPEG")
+    path = f"/v1/runs/{RUN['id']}/timelapse"
+    times = [f"2026-11-21T08:0{minute}:00.000Z" for minute in range(4)]
+    pictures = [{"at": at, "url": f"{path}/{number}.jpg"} for number, at in enumerate(times)]
+    page.route("**/camera.jpg", lambda route: route.fulfill(body=file.getvalue(), content_type="image/jpeg"))
+    own = {"started_at": times[0], "links": {"timelapse": path}}
+    told(page, "finished", camera=True, run=own)
+    asked: list[str] = []
+    page.route(f"**{path}", lambda route: route.fulfill(json={"pictures": pictures}))
+    page.route(
+        f"**{path}/*.jpg",
+        lambda route: (
+            asked.append(route.request.url[-5]),
+            route.fulfill(body=file.getvalue(), content_type="image/jpeg"),
+        ),
+    )
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    card = page.locator(".timelapse")
+    card.locator("summary").click()
+    expect(card.get_by_role("img")).to_have_js_property("naturalWidth", 8)
+    card.get_by_role("button", name="Play").click()
+    expect(card.get_by_role("slider")).to_have_value("3")
+    expect(card.get_by_role("button", name="Play")).to_be_visible()
+    assert asked == ["3", "0", "1", "2", "3"]
+    told(page, "finished", run=own)
+    expect(card).to_be_hidden()
+
+
 TIMES = """async ({ passes, runs, now }) => {
     const { findWholeJob, runTimeWords, wholeJobWords } = await import("/page/machine/whole_job.js");
     return runs.map((run) => [runTimeWords(run, now, false), wholeJobWords(findWholeJob(passes, run))]);

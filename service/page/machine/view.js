@@ -20,6 +20,7 @@ import { recover } from "./recover.js";
 import { runCard } from "./running.js";
 import { setup } from "./setup.js";
 import { stops } from "./stops.js";
+import { timelapse } from "./timelapse.js";
 import { hasLiveRun, standing } from "./words.js";
 import { zeroDrawing } from "./zero_drawing.js";
 
@@ -52,13 +53,13 @@ export default async function view(root, params, app) {
 function makeParts(link, chosen) {
   const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jogPanel(link), setup: setup(link), zero: zeroDrawing(link) };
   const load = loadCard(link, chosen);
-  const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), seen: camera(link), terminal: terminal(link), given: ordersGiven(link), past: history(link), stops: stops(link) };
+  const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), seen: camera(link), film: timelapse(link), terminal: terminal(link), given: ordersGiven(link), past: history(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
   return { ...own, ...others, next: next(link, cards, { load: () => load.button, start: () => others.program.button }) };
 }
 
 /** On a narrow screen the cards of the run come before those of the set-up; `arrange` decides when. */
-function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, seen, terminal, given, past, stops }) {
+function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, seen, film, terminal, given, past, stops }) {
   const node = (one) => one.node;
   const stack = (name, ...parts) => h("div", { class: `stack ${name}` }, parts.map(node));
   return h(
@@ -71,7 +72,7 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
       "div",
       { class: "machine-columns" },
       h("div", { class: "left" }, stack("tool", jog), stack("zero", setup, zero)),
-      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), stack("watched", overrides, seen), load.node), stack("beside", terminal, given, past)),
+      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), stack("watched", overrides, seen), load.node), stack("beside", terminal, film, given, past)),
     ),
     stops.node,
   );

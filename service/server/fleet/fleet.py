@@ -17,7 +17,7 @@ from service.http.schema import phrase_views
 from service.milling.api import PastOrders, RecoverBody, StartBody
 from service.server.database.jobs import JobBook
 from service.server.database.records import PREPARING, ClientKey
-from service.server.database.runs import RunRow, UnknownRunError
+from service.server.database.runs import LIVE_WORDS, RunRow, UnknownRunError
 from service.server.fleet.agent_client import OrderContext
 from service.server.fleet.agent_feed import parse_event_id
 from service.server.fleet.agent_replies import AgentAwayError, as_problem, parse_reply, require_answer
@@ -27,8 +27,15 @@ from service.server.fleet.event_streams import MachineEvents, RunEvents
 from service.server.fleet.handover import Handovers
 from service.server.fleet.orders import ASK_S, Controls, Orders, Stops
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view, programs_of
-from service.server.schemas.runs import MachineList, MachineView, RunView
+from service.server.fleet.representation import (
+    Surroundings,
+    make_machine_view,
+    make_picture_view,
+    make_run_view,
+    programs_of,
+)
+from service.server.fleet.timelapse import Timelapses
+from service.server.schemas.runs import MachineList, MachineView, RunView, TimelapseView
 from service.settings import ServerSettings
 from service.store.base import Store
 
@@ -48,6 +55,7 @@ class Fleet:
         self.stops = Stops(self._core)
         self.controls = Controls(self._core)
         self._cameras = Cameras(self._core.get_http_client)
+        self._timelapses = Timelapses(settings.data / "timelapse")
         self._followers = 0
 
     def end_streams(self) -> None:
@@ -69,9 +77,22 @@ class Fleet:
         while not await self._core.await_end(every_s):
             try:
                 rows = await self._core.do(self._core.runs.open_ones)
-                await asyncio.gather(*map(self._repair_and_look, rows))
+                seen = await asyncio.gather(*map(self._repair_and_look, rows))
+                await self._keep_pictures([run for run in seen if run.state in LIVE_WORDS and not run.away])
             except Exception as error:  # the database or a mill is away, or an agent talks nonsense
                 _log.warning("runs were not looked at", error=printable(str(error))[:200])
+
+    async def _keep_pictures(self, live: Sequence[RunRow]) -> None:
+        """Keep a picture of each of these runs whose mill has a camera, where one is due."""
+        if live:
+            known, _ = await self._core.list_machines()
+            cameras = [(run.id, known[run.machine].camera) for run in live if run.machine in known]
+            await asyncio.gather(*(self._keep_picture(run_id, camera) for run_id, camera in cameras if camera))
+
+    async def _keep_picture(self, run_id: str, camera: str) -> None:
+        with contextlib.suppress(Problem, OSError):  # the run itself does not suffer from a camera or a disk
+            if await self._core.do(self._timelapses.is_due, run_id):
+                await self._core.do(self._timelapses.keep, run_id, await self._cameras.take_picture(camera))
 
     async def aclose(self) -> None:
         self.end_streams()
@@ -102,6 +123,18 @@ class Fleet:
                 Phrase("there is no camera beside {name}; CAUSTICMILL_CAMERAS names the cameras", name=name),
             )
         return await self._cameras.take_picture(machine.camera)
+
+    async def list_pictures(self, run_id: str) -> TimelapseView:
+        """Return the pictures of the camera that were kept with the run. Problem 404 if there is no such run."""
+        await self._core.get_row(run_id)
+        taken = await self._core.do(self._timelapses.list_times, run_id)
+        return TimelapseView(pictures=[make_picture_view(run_id, at_s) for at_s in taken])
+
+    async def get_picture(self, run_id: str, at_s: int) -> bytes:
+        picture = await self._core.do(self._timelapses.read, run_id, at_s)
+        if picture is None:
+            raise Problem(404, Phrase("there is no such picture of this run"))
+        return picture
 
     async def _describe_machine(self, machine: KnownMachine) -> MachineView:
         status, away, run = None, None, await self._core.do(self._core.runs.open_on, machine.name)

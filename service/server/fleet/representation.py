@@ -20,7 +20,7 @@ from service.server.database.records import ABORTED, INTERRUPTED, PARKED, Artifa
 from service.server.database.runs import RunRow
 from service.server.fleet.agent_replies import Json, make_mill_view, parse_holder, phrases_of, table
 from service.server.fleet.registry import KnownMachine
-from service.server.schemas.runs import AgentView, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
+from service.server.schemas.runs import AgentView, LiveRun, MachineView, OpenRun, PictureOfRun, ProgramOfRun, RunView
 from service.wording import ball, shape_of
 
 _SHAPES = {
@@ -196,9 +196,13 @@ def _set_up(around: Surroundings, run: RunRow) -> Json | None:
 
 def _links(run: RunRow) -> dict[str, str]:
     here = f"/v1/runs/{run.id}"
-    own = {"self": here, "events": f"{here}/events", "recovery": f"{here}/recovery"}
+    own = {"self": here, "events": f"{here}/events", "recovery": f"{here}/recovery", "timelapse": f"{here}/timelapse"}
     others = {"job": f"/v1/jobs/{run.job_id}", "machine": f"/v1/machines/{quote(run.machine, safe='')}"}
     return own | others | {action: f"{here}:{action}" for action in _ACTIONS}
+
+
+def make_picture_view(run_id: str, at_s: int) -> PictureOfRun:
+    return PictureOfRun(at=at_s, url=f"/v1/runs/{run_id}/timelapse/{at_s}.jpg")
 
 
 def make_live_run(run: RunRow) -> LiveRun:

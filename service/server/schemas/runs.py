@@ -139,6 +139,15 @@ class RunList(Body):
     next: Annotated[str | None, Field(description="address of the next page; null: this is the last")]
 
 
+class PictureOfRun(Body):
+    at: Time
+    url: str
+
+
+class TimelapseView(Body):
+    pictures: Annotated[list[PictureOfRun], Field(description="of the camera beside the mill, oldest first")]
+
+
 class AgentView(Body):
     reachable: bool
     words: Annotated[str, Field(description="why it cannot be reached")]

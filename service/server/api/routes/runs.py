@@ -15,7 +15,7 @@ from service.milling.api import RecoverBody, RecoveryView, StartBody
 from service.server.api.access.guard import Operator, Order, Reader, Stopper
 from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.services import services_of
-from service.server.schemas.runs import PLAIN, RUN_ID, RunList, RunView
+from service.server.schemas.runs import PLAIN, RUN_ID, RunList, RunView, TimelapseView
 
 router = APIRouter(tags=["runs"])
 
@@ -53,6 +53,31 @@ async def look(request: Request, response: Response, _: Reader, run_id: RunId) -
     """As its agent has it now; with `unreachable`: as it was last known."""
     response.headers["Cache-Control"] = "no-cache"
     return await services_of(request).fleet.get_run(str(run_id))
+
+
+@router.get("/v1/runs/{id:uuid}/timelapse", summary="List the pictures kept with a run")
+async def list_pictures(request: Request, _: Reader, run_id: RunId) -> TimelapseView:
+    """What the camera beside the mill saw while the program ran: 300 pictures at most, evenly over its time. Those of
+    the newest ten runs are kept.
+    """
+    return await services_of(request).fleet.list_pictures(str(run_id))
+
+
+@router.get(
+    "/v1/runs/{id:uuid}/timelapse/{n:int}.jpg",
+    summary="Look at a picture kept with a run",
+    response_class=Response,
+    responses={200: {"description": "the picture", "content": {"image/jpeg": {}}}},
+)
+async def show_picture(
+    request: Request,
+    _: Reader,
+    run_id: RunId,
+    number: Annotated[int, Path(alias="n", ge=0, le=1 << 53, description="as the list of pictures has it")],
+) -> Response:
+    picture = await services_of(request).fleet.get_picture(str(run_id), number)
+    headers = {"Cache-Control": "private, max-age=31536000, immutable", "X-Content-Type-Options": "nosniff"}
+    return Response(picture, media_type="image/jpeg", headers=headers)
 
 
 @router.get("/v1/runs/{id:uuid}/events", summary="Follow a run", response_class=Response, responses=_STREAM)

@@ -19,9 +19,11 @@ from service.errors import InputError
 from service.http.problems import Problem
 from service.server.fleet import cameras
 from service.server.fleet.cameras import Cameras
+from service.server.fleet.fleet import Fleet
 from service.settings import ServerSettings
 from tests.service.mills import Bench
 from tests.service.server.fleet.shop import MACHINE, shop
+from tests.waiting import until
 
 JPEG = b"\xff\xd8\xff\xe0 a thumbnail ends with \xff\xd9 within \r\n\r\n and this \r\n-- is no boundary \xff\xd9"
 MULTIPART = b"Content-Type: multipart/x-mixed-replace; boundary=%s\r\n"
@@ -133,8 +135,12 @@ def test_addresses_are_of_the_web() -> None:
     assert given_back == {"shop": "http://x/"}
 
 
-def test_it_is_linked_and_looked_through_where_there_is_one(tmp_path: Path, mill: Bench) -> None:
+def test_it_is_linked_and_looked_through_and_its_pictures_stay_with_the_run(
+    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.setattr(Fleet.watch, "__defaults__", (0.2,))
     ready, end, urls = threading.Event(), threading.Event(), []
+    request.addfinalizer(end.set)  # also where the test fails: its thread would outlive it
 
     async def camera() -> None:
         async with run_camera([b"HTTP/1.1 200 OK\r\n\r\n", JPEG]) as (url, _):
@@ -149,7 +155,14 @@ def test_it_is_linked_and_looked_through_where_there_is_one(tmp_path: Path, mill
         with floor.client("jobs:read") as client:
             answer = client.get(links["camera"])
         assert (answer.content, answer.headers["content-type"]) == (JPEG, "image/jpeg")
+        run = floor.park(floor.job((600,)))
+        assert floor.get(run["links"]["timelapse"]) == {"pictures": []}
+        floor.start(run)
+        until(lambda: floor.get(run["links"]["timelapse"])["pictures"])
+        floor.until_finished(run)
+        taken = floor.operator.get(floor.get(run["links"]["timelapse"])["pictures"][0]["url"])
+        assert (taken.content, taken.headers["content-type"]) == (JPEG, "image/jpeg")
+        floor.get(f"/v1/runs/{run['id']}/timelapse/1.jpg", 404)
     with shop(tmp_path / "data", mill) as floor:
         assert "camera" not in floor.get(f"/v1/machines/{MACHINE}")["links"]
         floor.get(f"/v1/machines/{MACHINE}/camera.jpg", 404)
-    end.set()
