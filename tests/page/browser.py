@@ -15,7 +15,7 @@ from typing import Any, Literal
 from axe_playwright_python.base import AXE_SCRIPT
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, sync_playwright
 
-ANSWER_MS = 20_000.0  # a page that answers at all does so sooner; jobs are waited for with JOB_MS
+ANSWER_MS = 120_000.0  # a page that answers at all does so sooner; jobs are waited for with JOB_MS
 SIZES = {"wide": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
 NOWHERE = "#/-"  # an address of no view
 TOUCH_PX = 44  # that a finger in a glove hits

@@ -50,7 +50,7 @@ function card(name) {
   const alarm = h("p", { class: "arrived", role: "alert" });
   const share = h("strong", {});
   const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
-  const picture = h("img", { class: "wall-seen", width: 72, height: 72, alt: "" }), wall = thumbnail(picture);
+  const picture = h("img", { class: "wall-seen", width: 72, height: 72, alt: "", hidden: true }), wall = thumbnail(picture);
   const meter = h("div", { class: "cut" }, bar, share);
   const words = h("p", { class: "words" });
   const about = h("p", { class: "dim" });
@@ -72,7 +72,7 @@ function card(name) {
     const job = id && (await api.get(`/v1/jobs/${id}`, { quiet: true }).catch(() => null));
     if (lens.id !== id) return;
     lens.name = job?.name ?? "";
-    picture.classList.toggle("there", Boolean(job));
+    picture.hidden = !job;
     wall.show(job ? job.links.picture : null);
   }
 
