@@ -33,7 +33,7 @@ def told(page: Page) -> list[list[dict[str, Any]] | None]:
 def test_cutters_are_added_and_taken_away_by_diameter_and_the_plan_is_asked_for_again(opened: Opened) -> None:
     page = opened("#/new")
     lists = told(page)
-    cutters = page.locator("details", has_text="Your cutters")
+    cutters = page.locator(".shop > details", has_text="Your cutters")
     cutters.locator("summary").click()
     items = cutters.get_by_role("listitem")
     expect(items).to_have_text([f"{size}×" for size in SIZES])
@@ -68,7 +68,7 @@ def test_a_cutter_that_cannot_be_is_said_and_nothing_changes(opened: Opened) -> 
             route.fallback() if route.request.method == "GET" else route.fulfill(status=422, json={"detail": detail})
         ),
     )
-    cutters = page.locator("details", has_text="Your cutters")
+    cutters = page.locator(".shop > details", has_text="Your cutters")
     cutters.locator("summary").click()
     cutters.get_by_label("Diameter").fill("2")
     cutters.get_by_label("Cutting length").fill("0.2")

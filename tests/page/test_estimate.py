@@ -81,7 +81,7 @@ def test_the_estimate_says_what_must_be_at_hand(opened: Opened) -> None:
     page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE | answers.pop(0)))
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
-    told = page.get_by_role("region", name="Estimate").locator(".needs")
+    told = page.get_by_role("region", name="Estimate").locator(".shopping")
     expect(told).to_contain_text("Block 80.5 × 120 × 25.5 mm")
     for cutter in ("Cutter Ø 10 mm", "Ball Ø 6 mm", "Ball Ø 1 mm"):
         expect(told.get_by_text(cutter)).to_have_count(1)

@@ -119,7 +119,15 @@ def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modul
     assert second[0] == "On the wall, if polished"
     (only,) = modules.evaluate(HEADLINES, [designed, None, None])
     assert only[0] == "On the wall, if polished" and "as milled it may be less" in only[2]
-    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.5}, 20.0])[0] == ["On the wall, as milled", hard, ""]
+    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.0}, 20.0])[0] == ["On the wall, as milled", hard, ""]
+
+
+def test_a_pass_in_words_says_nothing_that_is_not_known(modules: Page) -> None:
+    """The program of witness marks has no rows."""
+    witness = {"name": "witness", "tool": "ball", "radius_mm": 3.0, "step_down_mm": 0.5, "feed_mm_per_min": 1000.0}
+    script = "(row) => import('/page/job/figures.js').then(({passWords}) => passWords(row))"
+    assert modules.evaluate(script, witness).replace("\u00a0", " ") == "ball R 3 (Ø 6 mm)"
+    assert "every 0.1 mm at 1000 mm/min" in modules.evaluate(script, witness | {"pitch_mm": 0.1})
 
 
 LEFT = """(rows) => import("/page/job/left.js").then(({secondsLeft, leftWords}) => rows.map(([job, live, now]) => {

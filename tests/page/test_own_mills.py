@@ -28,7 +28,7 @@ def told(page: Page) -> list[tuple[str, Any]]:
 
 def test_a_mill_is_stated_changed_and_taken_away_and_the_job_is_for_it(opened: Opened) -> None:
     page = opened("#/new")
-    orders, mills = told(page), page.locator("details", has_text="Your mills")
+    orders, mills = told(page), page.locator(".shop > details", has_text="Your mills")
     page.evaluate("import('/page/lib/api.js').then(({ api }) => (api.need = async () => true))")
     mills.locator("summary").click()
     expect(mills.get_by_label("Smallest step, µm")).to_have_attribute("placeholder", "4")
@@ -55,7 +55,7 @@ def test_what_cannot_be_is_said_and_what_was_typed_stays(opened: Opened) -> None
     page.evaluate("import('/page/lib/api.js').then(({ api }) => (api.need = async () => true))")
     detail = "step_mm = 2: allowed: a number from 1e-06 to 1 mm"
     page.route("**/v1/profiles/*", lambda route: route.fulfill(status=422, json={"detail": detail, "field": "step_mm"}))
-    mills = page.locator("details", has_text="Your mills")
+    mills = page.locator(".shop > details", has_text="Your mills")
     mills.locator("summary").click()
     mills.get_by_label("Name").fill("cellar")
     mills.get_by_label("Smallest step, µm").fill("2000")

@@ -167,6 +167,7 @@ export function passWords(row) {
   if ("above_mm" in row) return t`${TOOLS[row.tool] ?? row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
   if ("tabs" in row) return cutOutWords(ball(row.radius_mm), row.tabs);
   const tool = toolWords(row);
+  if (!row.pitch_mm) return tool; // witness marks
   const rows = t`rows along ${String(row.direction ?? "x").toUpperCase()}`;
   const ways = row.strategy === "contour" ? t("one path along contour lines") : rows;
   const only = row.where === "rest" ? t(", only where stock is left") : "";

@@ -16,7 +16,7 @@ const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"
 
 /** {node, update(artifacts, spec), free()} */
 export function lensPart() {
-  const map = h("canvas", { class: "height-map", role: "img" });
+  const map = h("canvas", { class: "height-map", role: "img", "aria-label": t("Heights, as it lies on the mill") });
   const reading = h("p", { class: "height-reading" }, t("Point at the map to read its height."));
   const scale = h("div", { class: "height-scale" });
   const caption = h("figcaption", {}, t("Heights, as it lies on the mill"));

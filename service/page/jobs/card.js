@@ -38,7 +38,7 @@ export function jobCard(first) {
     bar.hidden = job.state !== "running";
     bar.value = job.progress;
     write(note, noteOf(job));
-    write(what, factsOf(job).join(" · "));
+    write(what, factsOf(job).map((words) => words.replaceAll(" ", "\u00a0")).join(" · "));
     element.dataset.state = job.state;
   }
 

@@ -50,15 +50,15 @@ function card(name) {
   const alarm = h("p", { class: "arrived", role: "alert" });
   const share = h("strong", {});
   const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
-  const picture = h("img", { class: "wall-seen", width: 72, height: 72, alt: "" }), wall = thumbnail(picture);
-  const meter = h("div", { class: "cut" }, picture, bar, share);
+  const picture = h("img", { class: "wall-seen", width: 72, height: 72, alt: "", hidden: true }), wall = thumbnail(picture);
+  const meter = h("div", { class: "cut" }, bar, share);
   const words = h("p", { class: "words" });
   const about = h("p", { class: "dim" });
   const link = h("a", { href: addressOf(name) }, name);
   const node = h(
     "li",
     { class: "card" },
-    h("div", { class: "row spread" }, h("div", {}, h("h2", {}, link), state), hold),
+    h("div", { class: "row spread" }, h("div", {}, h("h2", {}, link), state), picture, hold),
     alarm,
     meter,
     words,
@@ -72,7 +72,7 @@ function card(name) {
     const job = id && (await api.get(`/v1/jobs/${id}`, { quiet: true }).catch(() => null));
     if (lens.id !== id) return;
     lens.name = job?.name ?? "";
-    picture.classList.toggle("there", Boolean(job));
+    picture.hidden = !job;
     wall.show(job ? job.links.picture : null);
   }
 
@@ -87,8 +87,7 @@ function card(name) {
     hold.classList.toggle("taken", isHeld(machine));
     write(alarm, mills.stopper(name).words);
     write(share, cut ? percentUnderWay(run.share) : "");
-    meter.style.visibility = run ? "visible" : "hidden";
-    bar.style.visibility = cut ? "inherit" : "hidden";
+    meter.style.visibility = cut ? "visible" : "hidden";
     bar.value = run?.share ?? 0;
     write(words, [run && programWords(isDry(run) ? t`Dry pass of ${run.program}` : run.program, lens.name), whyWords(machine) || (cut && leftWords(run, simulated))].filter(Boolean).join(": "));
     write(about, [simulated ? t("Simulated: no real mill moves") : profile?.description, control && t`${control.operator} has control`].filter(Boolean).join(" · "));

@@ -5,20 +5,11 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { freshKey, hours, sentence } from "../lib/words.js";
 import { alikeWords, isHard } from "../job/eye_words.js";
-import { put } from "./spec.js";
 
 const WORTH_DB = 1;
 // A separate estimator: a request here does not cancel the estimate of the job itself.
 const HEADERS = { "Causticmill-Tab": freshKey() };
 const NONE = t("No single change of these settings shows clearly more.");
-
-/** A spec with a change taken; passes that were given make way for recommended ones. */
-export function withChange(spec, values) {
-  const result = structuredClone(spec);
-  if (values.preset) delete result.passes;
-  for (const [key, value] of Object.entries(values)) put(result, key, value);
-  return result;
-}
 
 /**
  * {element, show(estimate), focus(), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person

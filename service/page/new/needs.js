@@ -23,10 +23,9 @@ export function showNeeds(section, estimate) {
   const count = () => {
     const missing = rows.filter(({ words, has }) => !(has ?? have.has(words))).length;
     write(title, !missing ? t("You have all of it") : missing === rows.length ? t("Shopping list: tick what you have") : t`Shopping list: ${missing} of ${rows.length} to get`);
-    section.classList.toggle("whole", !missing);
   };
   count();
-  replace(section, title, h("ul", { class: "needs" }, rows.map(line)));
+  replace(section, title, h("ul", { class: "shopping" }, rows.map(line)));
 }
 
 /** The block with its margin and with what is faced off; has: whether the person's own is large enough, where its size is stated. */

@@ -20,6 +20,14 @@ export function put(spec, key, value) {
   return spec;
 }
 
+/** A spec with a change taken; passes that were given make way for recommended ones. */
+export function withChange(spec, values) {
+  const result = structuredClone(spec);
+  if (values.preset) delete result.passes;
+  for (const [key, value] of Object.entries(values)) put(result, key, value);
+  return result;
+}
+
 /** Two trees as one; where both say something, the second counts. Lists are replaced whole. */
 export function merged(under, over) {
   const result = { ...under };

@@ -10,12 +10,11 @@ import { allSettings } from "./all_settings.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { focusRow, specForm } from "./form.js";
-import { improvements, withChange } from "./improve.js";
 import { keepOwn, MACHINE_USUAL, ownThings, startSpec } from "./own.js";
 import { FIRST } from "./passes.js";
 import { pictureSide } from "./picture_side.js";
 import { planChoice } from "./plans.js";
-import { merged, valueAt } from "./spec.js";
+import { merged, valueAt, withChange } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
 import { priorityRow, submitBar } from "./submit_bar.js";
 
@@ -85,14 +84,14 @@ function lateCard(title, load) {
 function newJob(profiles, app, withMills) {
   const now = { estimate: null, first: false, sent: false, problems: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
   const address = location.hash;
-  let coupon = null;
+  let coupon = null, improve = null, suggested = null; // loaded when they are needed
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const plans = planChoice({ onPick: showChosen });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, plans: plans.element, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, onState: showEstimate });
-  const improve = improvements({ make: estimateForm, take: takeChange });
+  const changes = h("div");
   const foot = submitBar(submit);
   const sending = sender({ onWait: foot.wait });
 
@@ -115,7 +114,7 @@ function newJob(profiles, app, withMills) {
     side.element,
     h("section", { class: "main-choices stack tight", "aria-label": t("Mill, size, time") }, own.element, h("div", { class: "card" }, form.main)),
     h("section", { class: "settings stack tight", "aria-label": t("Everything else") }, settings),
-    h("div", { class: "estimate-side" }, card.element, improve.element),
+    h("div", { class: "estimate-side" }, card.element, changes),
     foot.element,
   );
 
@@ -174,13 +173,23 @@ function newJob(profiles, app, withMills) {
     if (state.kind === "known") plans.show(state.estimate, state.first);
     if (state.kind !== "busy") now.problems = state.problems ?? state.estimate?.refusals ?? [];
     if (state.kind !== "busy" && state.kind !== "none") showProblems();
-    if (state.kind !== "known") improve.stop();
-    else if (state.after) improve.reconsider(state.estimate);
-    else improve.show(state.estimate);
+    if (state.kind !== "known") improve?.stop();
+    else suggest(state, now.forMore);
     if (state.kind === "known") showChosen();
     else if (state.kind !== "busy") foot.say("");
-    if (state.kind === "known" && now.forMore) improve.focus();
     if (state.kind !== "busy") now.forMore = false;
+  }
+
+  /** What would show more; the first look stays what others are compared with. */
+  async function suggest({ estimate, after = estimate }, focus) {
+    const { improvements } = await import("./improve.js");
+    if (now.estimate !== estimate) return;
+    improve ??= improvements({ make: estimateForm, take: takeChange });
+    if (!improve.element.isConnected) replace(changes, improve.element);
+    if (suggested !== after) improve.show(after);
+    suggested = after;
+    if (after !== estimate) improve.reconsider(estimate);
+    if (focus) improve.focus();
   }
 
   /** Figures and wall of the plan that is chosen. */
@@ -231,7 +240,7 @@ function newJob(profiles, app, withMills) {
 
   function stop() {
     asks.stop();
-    improve.stop();
+    improve?.stop();
   }
 
   /** Keep the draft for a return, even by a reload. */

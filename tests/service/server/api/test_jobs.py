@@ -49,7 +49,7 @@ def test_the_spec_may_be_a_file_part_and_is_not_needed(server: ApiServer) -> Non
     [
         ({"optics": {"width_mm": 0}}, "spec.optics.width_mm"),
         ({"optik": {}}, "spec.optik"),
-        ({"passes": [{"radius_mm": 3, "pitch_mm": 9}]}, "spec.passes.0"),
+        ({"passes": [{"radius_mm": 3, "pitch_mm": 9}]}, "spec.passes.0.pitch_mm"),
         ({"preset": "nice"}, "spec.preset"),
         ({"preset": {"a": 1}}, "spec.preset"),
         ({"machine": {"profile": "../../etc/passwd"}}, "spec.machine.profile"),
