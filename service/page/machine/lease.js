@@ -21,6 +21,7 @@ export class Lease {
     const found = kept.get(link.name);
     kept.delete(link.name);
     clearTimeout(found?.leaving);
+    found?.notice.close();
     if (found?.held && found.holder === api.who.name) return Object.assign(found, { link });
     found?.end();
     return new Lease(link);
@@ -34,6 +35,7 @@ export class Lease {
     this.since = "";
     this.holder = ""; // whose key took it
     this.leaving = 0;
+    this.notice = null; // that it was left
     this.freshUntil = 0;
     this.timer = setInterval(() => this.held && this.renew(), RENEW_MS);
     this.stopListening = api.onAway((away) => !away && this.held && this.renew());
@@ -74,7 +76,7 @@ export class Lease {
     const live = hasLiveRun(machine);
     const more = live ? t` ${machine.run.program} goes on; HOLD and STOP are on its page.` : "";
     const back = { words: t("Back to it"), run: () => (location.hash = addressOf(name)) };
-    toast(t`You keep control of ${name} for ${AWAY_MINUTES} minutes.${more}`, { action: live ? back : { words: t("Give control back"), run: () => this.end() } });
+    this.notice = toast(t`You keep control of ${name} for ${AWAY_MINUTES} minutes.${more}`, { action: live ? back : { words: t("Give control back"), run: () => this.end() } });
   }
 
   /** Give control back, and listen no more: no view has this lease. */
