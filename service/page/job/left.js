@@ -25,7 +25,7 @@ export function secondsLeft(job, live, now) {
     const usual = pace * stage.usual_s, share = live?.stage === stage.name ? live.share : 0;
     if (stage.state === "running") low += ofRunning(stage, usual, share, now);
     else if (stage.state === "waiting" || stage.state === "interrupted") low += usual;
-    known += stage.usual_s * ({ running: share, committed: 1, reused: 1 }[stage.state] ?? 0);
+    if (isPaced(stage)) known += stage.usual_s * ({ running: share, committed: 1, reused: 1 }[stage.state] ?? 0);
   }
   const measured = known >= MEASURED_S;
   return { low, high: low * (!measured ? UNMEASURED : planned ? EITHER_WAY : UNPLANNED), measured };
@@ -44,9 +44,12 @@ function inHours(from, to) {
   return from === to ? t`about ${from} h left` : t`about ${from} to ${to} h left`;
 }
 
+/** The plan that an estimate has made is only read, which says nothing of the pace. */
+const isPaced = ({ name }) => name !== "passes";
+
 /** How much longer stages take here than usual; reused stages do not count. */
 function paceOf(stages) {
-  const done = stages.filter(({ state, seconds }) => state === "committed" && seconds !== null);
+  const done = stages.filter((stage) => stage.state === "committed" && stage.seconds !== null && isPaced(stage));
   const sum = (key) => done.reduce((total, stage) => total + stage[key], TRUST_S);
   return sum("seconds") / sum("usual_s");
 }
