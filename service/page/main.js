@@ -13,7 +13,7 @@ import { watchForNotifications } from "./machine/notify.js";
 /** Address, place in the navigation, how the view is loaded.
  * @type {[RegExp, string, () => Promise<{default: Function}>][]} */
 const ROUTES = [
-  [/^\/$/, "jobs", () => import("./jobs/list.js")],
+  [/^\/(jobs)?$/, "jobs", () => import("./jobs/list.js")],
   [/^\/new$/, "new", () => import("./new/view.js")],
   [/^\/jobs\/(?<id>[^/]+)$/, "jobs", () => import("./job/view.js")],
   [/^\/compare\/(?<id>[^/]+)\/(?<id2>[^/]+)$/, "jobs", () => import("./job/compare.js")],

@@ -1,19 +1,22 @@
-/** A finished lens: its picture on the wall, large, and the next steps; finished steps are ticked. */
+/** The light on the wall, large: while the lens is made, the picture of it that is there; then the next steps, the finished ones ticked. */
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { isCut, mark } from "../lib/state.js";
-import { hours, within } from "../lib/words.js";
+import { isCut, isGoing, mark } from "../lib/state.js";
+import { capital, hours, within } from "../lib/words.js";
 import { eyeWords, isFine, isHard } from "./eye_words.js";
 import { unfold } from "./fold.js";
 import { likenessOf, millSeconds } from "./figures.js";
 import { knownMills, sendLink } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink, sheetOf } from "./save.js";
+import { mills } from "../machine/mills.js";
+import { addressOf } from "../machine/words.js";
 
-const SEEN = ON_THE_WALL.filter(({ name }) => name !== "target.png"); // from ideal to real
+const ASKED = "target.png";
+const SEEN = ON_THE_WALL.filter(({ name }) => name !== ASKED); // from ideal to real
 
-/** {node, update(job, artifacts), free()}; shown once the job has succeeded. */
+/** {node, update(job, artifacts), free()}; a job that stopped has none. */
 export function endingPart() {
   const shelf = pictureShelf();
   const picture = h("img", { class: "ending-picture", alt: "" }), next = h("div", { class: "stack" });
@@ -21,19 +24,35 @@ export function endingPart() {
   let shown = "";
 
   async function update(job, artifacts) {
-    const seen = SEEN.findLast(({ name }) => artifacts.has(name));
-    node.hidden = job.state !== "succeeded" || !seen;
-    const key = artifacts.get(seen?.name)?.sha256 ?? "";
+    const isMade = job.state === "succeeded";
+    const seen = (isMade ? SEEN : ON_THE_WALL).findLast(({ name }) => artifacts.has(name));
+    node.hidden = isMade ? !seen : !isGoing(job);
+    const key = isMade ? artifacts.get(seen?.name)?.sha256 : `${seen?.name} ${mills.seen.machines.length}`;
     if (node.hidden || key === shown) return;
     shown = key;
-    picture.alt = t`On the wall, ${within(seen.title)}`;
+    const isKnown = seen && seen.name !== ASKED;
+    picture.alt = isKnown ? t`On the wall, ${within(seen.title)}` : "";
+    picture.classList.toggle("asked", !isKnown);
+    if (!isMade) {
+      replace(next, makingWords(job, isKnown && seen));
+      if (seen) picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
+      return;
+    }
     replace(next, words(job, artifacts, job.programs, []));
     const toMill = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => unmilledOf(job, runs), () => job.programs);
-    const mills = knownMills();
+    const known = knownMills();
     picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
-    replace(next, words(job, artifacts, await toMill, await mills));
+    replace(next, words(job, artifacts, await toMill, await known));
   }
   return { node, update, free: shelf.free };
+}
+
+/** seen: the light that is known by now. */
+function makingWords(job, seen) {
+  const { machines } = mills.seen, to = machines.length === 1 ? `${addressOf(machines[0].name)}?job=${job.id}` : "#/machines";
+  const now = seen ? t`On the wall, ${within(seen.title)}` : t("the picture as asked for: its light is not worked out yet");
+  const ready = machines.length > 0 && h("p", {}, h("a", { class: "button", href: to }, t("Get the mill ready meanwhile")));
+  return [h("h2", { id: "ending-title" }, t("Your lens is being made")), h("p", { class: "dim" }, capital(now), "."), ready];
 }
 
 /** A job's programs that no mill has finished. */

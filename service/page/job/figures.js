@@ -93,7 +93,7 @@ function onTheWall(milled, polished, predicted) {
   const shown = polished === undefined ? [] : [[t("On the wall, if polished"), alikeWords(polished)]];
   if (seen === null) return shown.map((row) => [...row, t("as milled it may be less; the last steps show how much")]);
   if (polished < seen) return [[t("On the wall"), alikeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
-  return [[t("On the wall, as milled"), alikeWords(seen), how], ...shown];
+  return [[milled === undefined ? t("On the wall") : t("On the wall, as milled"), alikeWords(seen), how], ...shown];
 }
 
 const SCORES = [

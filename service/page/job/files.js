@@ -2,7 +2,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mayBeMilled } from "../lib/state.js";
+import { isGoing, mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf, programRows } from "./figures.js";
 import { fold } from "./fold.js";
@@ -19,7 +19,6 @@ const OFFERED = [
 ];
 
 const TITLES = new Map(PICTURES.map(({ name, title }) => [name, t(title)]));
-const GOING = ["queued", "running"];
 
 /** {node, update(job)}: each program with what it does, and the mills it may go to. */
 export function programsPart() {
@@ -105,7 +104,7 @@ export function filesPart() {
   let shown = "";
 
   function update(job, artifacts) {
-    const files = [...artifacts.values()], going = GOING.includes(job.state);
+    const files = [...artifacts.values()], going = isGoing(job);
     const key = going + files.map(({ name, sha256 }) => name + sha256).join();
     node.hidden = !files.length;
     if (key === shown) return;

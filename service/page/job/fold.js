@@ -7,7 +7,7 @@ export function fold(id, words, ...content) {
   return h("section", { class: `card folded ${id}-part`, "aria-labelledby": title.id }, h("details", {}, h("summary", {}, title), content));
 }
 
-/** Unfold it, or fold it. */
-export function unfold(node, open = true) {
-  node.querySelector("details").open = open;
+/** Unfold it. */
+export function unfold(node) {
+  node.querySelector("details").open = true;
 }

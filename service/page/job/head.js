@@ -3,7 +3,7 @@ import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { confirm, toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
-import { shape, stateMark } from "../lib/state.js";
+import { isGoing, shape, stateMark } from "../lib/state.js";
 import { ago, jobName, sentence } from "../lib/words.js";
 import { setUpWords, stageWords } from "./figures.js";
 import { settingWords } from "./setting_words.js";
@@ -28,7 +28,7 @@ export function headPart(app, changed) {
     replace(notice, noticeOf(job));
   }
   function buttons(job) {
-    const going = job.state === "running" || job.state === "queued";
+    const going = isGoing(job);
     const again = job.state === "failed" || job.state === "cancelled";
     return [
       going && h("button", { type: "button", disabled: job.cancel_requested, onclick: () => act(job, "cancel") }, t("Cancel")),

@@ -2,10 +2,8 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { mark } from "../lib/state.js";
+import { isGoing, mark } from "../lib/state.js";
 import { capital, hours, percent, percentUnderWay } from "../lib/words.js";
-import { mills } from "../machine/mills.js";
-import { addressOf } from "../machine/words.js";
 import { stageWords } from "./figures.js";
 import { leftWords, secondsLeft } from "./left.js";
 
@@ -24,22 +22,17 @@ export function progressPart() {
   const bar = h("progress", { max: 1, "aria-label": t("Progress of the job") });
   const words = h("span", { class: "progress-words" });
   const list = h("ol", { class: "stages" });
-  const mill = h("a", { class: "button" }, t("Get the mill ready meanwhile"));
-  const meanwhile = h("p", { hidden: true }, mill);
   const details = h("details", {}, h("summary", {}, words), list);
-  const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details, meanwhile);
+  const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details);
   let shown = null, before = null;
 
   function update(job, live, link) {
-    const busy = job.state === "running" || job.state === "queued";
+    const busy = isGoing(job);
     const share = busy && live ? Math.max(job.progress, live.progress) : job.progress;
     bar.hidden = job.state === "succeeded" || job.state === "queued";
     bar.value = share;
-    const { machines } = mills.seen;
-    meanwhile.hidden = !busy || machines.length === 0;
-    mill.href = machines.length === 1 ? addressOf(machines[0].name) : "#/machines";
     write(words, sentence(job, share, live, link));
-    if (before !== job.state) details.open = busy || job.state === "failed";
+    if (before !== job.state) details.open = job.state === "failed";
     before = job.state;
     const key = JSON.stringify([job.stages, job.state]);
     if (key !== shown) replace(list, job.stages.map((stage) => row(stage, job)));

@@ -8,6 +8,7 @@ import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { follow } from "../lib/sse.js";
+import { isGoing } from "../lib/state.js";
 import { endingPart } from "./ending.js";
 import { factsPart, warningsPart } from "./facts.js";
 import { passesOf, screenOf } from "./figures.js";
@@ -99,11 +100,11 @@ export default async function view(root, params, app) {
   function tick() {
     parts.head.update(watched.job);
     parts.progress.update(watched.job, watched.live, watched.link);
+    parts.ending.update(watched.job, watched.artifacts); // the mills are known a little later
   }
   const back = api.onAway((away) => !away && refresh());
 
   replace(root, layout(parts, first.spec));
-  for (const name of ["pictures", "facts", "programs"]) unfold(parts[name].node, first.state !== "succeeded"); // they are watched as they come
   show();
   if (isGoing(first)) listen();
   await load();
@@ -140,10 +141,6 @@ function layout(parts, spec) {
     parts.head.node, parts.ending.node,
     h("div", { class: "job-parts" }, CONTENTS.map((name) => parts[name].node)),
   );
-}
-
-function isGoing(job) {
-  return job.state === "queued" || job.state === "running";
 }
 
 function showGone(root, parts) {

@@ -5,6 +5,7 @@ import { confirm } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { at } from "../lib/root.js";
+import { isGoing } from "../lib/state.js";
 import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
@@ -268,7 +269,7 @@ function jobList(states, none, asked) {
   }
 
   function active() {
-    return [...cards.values()].filter(({ job }) => job.state === "running" || job.state === "queued").length;
+    return [...cards.values()].filter(({ job }) => isGoing(job)).length;
   }
 
   return made;

@@ -28,6 +28,11 @@ export function shape(kind) {
   return svg("svg", { class: `shape ${kind}`, viewBox: "0 0 16 16", "aria-hidden": "true" }, drawn);
 }
 
+/** Whether a job waits or is being made. */
+export function isGoing({ state }) {
+  return state === "queued" || state === "running";
+}
+
 /** May a mill have a job's programs? job: a whole one, which offers them once checked; what they make is drawn after. */
 export function mayBeMilled({ state, programs, cancel_requested: givenUp }) {
   return programs.length > 0 && (state === "succeeded" || (state === "running" && !givenUp));

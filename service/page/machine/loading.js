@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { isCut, mayBeMilled, shape } from "../lib/state.js";
+import { isCut, isGoing, mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { addressOf, whyNot } from "./words.js";
@@ -86,7 +86,7 @@ export function loadCard(link, chosen) {
   /** A job at work is fetched again until it is done. */
   function waitFor(job) {
     clearTimeout(timer);
-    later.hidden = !job || !["queued", "running"].includes(job.state);
+    later.hidden = !job || !isGoing(job);
     facts.atWork = later.hidden ? "" : percent(job.progress);
     if (later.hidden) return;
     write(later.lastChild, t`${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded once all of them have been checked.`);
