@@ -15,7 +15,7 @@ const WAITS = [null, null, null]; // places for the plans that an exact estimate
  */
 export function planChoice({ onPick }) {
   const list = h("div", { class: "walls" });
-  const element = h("fieldset", { class: "plans", hidden: true }, h("legend", {}, t("Plans to choose from")), list);
+  const element = h("fieldset", { class: "plans" }, h("legend", {}, t("Plans to choose from")), list);
   const now = { plans: [], taken: null, wanted: null };
 
   function show({ plans = [], planned }, first) {
@@ -41,6 +41,7 @@ export function planChoice({ onPick }) {
     return h("label", {}, input, h("img", { src: plan.wall, alt: "" }), h("strong", {}, hours(3600 * plan.hours)), h("small", {}, name), work.map((words) => h("small", {}, words)));
   }
 
+  draw(WAITS); // their place is kept from the start
   return {
     element,
     show,
