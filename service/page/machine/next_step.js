@@ -140,17 +140,13 @@ function findZeroStep(machine, setup, foreign) {
 function findCornerStep(machine, setup) {
   const margin = setup.stock?.margin_mm;
   const mount = setup.tool?.radius_mm ? t`clamp the block, put in ${ball(setup.tool.radius_mm)}; ` : "";
-  if (isAtHome(machine, "XY")) return makeStep("corner", t`${mount}jog over the lens's front left corner${anyPlace(machine)}.`, { go: "jog" });
+  if (isAtHome(machine, "XY")) return makeStep("corner", t`${mount}jog over the lens's front left corner${machine.simulated ? t(" (simulated: leave room to the right and behind)") : ""}.`, { go: "jog" });
   const where = Number.isFinite(margin) ? t` (${margin} mm inside the block)` : "";
   return makeStep("zero", t`jog over the front left corner of the lens${where}; set X and Y.`, { act: ZERO_XY });
 }
 
-function anyPlace({ simulated }) {
-  return simulated ? t(" (simulated: any place)") : "";
-}
-
 function findTopStep(machine, before) {
-  if (isAtHome(machine, "Z")) return makeStep("top", t`${before}lower the tool onto the block's top${anyPlace(machine)}.`, { go: "jog" });
+  if (isAtHome(machine, "Z")) return makeStep("top", t`${before}lower the tool onto the block's top${machine.simulated ? t(" (simulated: any place)") : ""}.`, { go: "jog" });
   return makeStep("zero", t`${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
