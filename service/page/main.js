@@ -50,9 +50,7 @@ async function show({ focus = true } = {}) {
   const isCurrent = () => mine === shows;
   const app = appFor(isCurrent);
   const { path, query } = address();
-  const route = ROUTES.map(([pattern, place, load]) => ({ found: pattern.exec(path), place, load })).find(
-    (one) => one.found,
-  );
+  const route = ROUTES.map(([pattern, place, load]) => ({ found: pattern.exec(path), place, load })).find((one) => one.found);
   const place = h("div");
   leaveCurrent();
   markPlace(route?.place);
@@ -113,18 +111,12 @@ function showFault(error, place, app) {
 }
 
 function markPlace(place) {
-  for (const link of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".bar nav a"))) {
-    if (link.dataset.place === place) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
-  }
+  for (const link of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".bar nav a"))) link.ariaCurrent = link.dataset.place === place ? "page" : null;
 }
 
 function showAway(away) {
   const words = t("The server does not answer. This page goes on by itself when it is back.");
-  replace(
-    document.getElementById("away"),
-    away && h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words)),
-  );
+  replace(document.getElementById("away"), away && h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words)));
   document.body.classList.toggle("away", away);
 }
 

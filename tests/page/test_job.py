@@ -492,6 +492,16 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     expect(milled.get_by_role("button", name="Programs")).to_have_count(0)
 
 
+def test_a_job_being_made_shows_what_is_there_of_its_light(opened: Opened) -> None:
+    job, files = canned()
+    running = like(job, 41, state="running", programs=[], ended_at=None)
+    running["stages"] = stopped_at(running, "as-milled", "running")
+    page = shown(opened, running, files)
+    making = page.get_by_role("region", name="Your lens is being made")
+    expect(making.get_by_role("img", name=re.compile("^On the wall, "))).to_have_attribute("src", re.compile("^blob:"))
+    expect(page.get_by_role("region", name="Progress").get_by_role("list")).to_be_hidden()
+
+
 def test_a_job_that_failed_has_no_ending(opened: Opened) -> None:
     job, files = canned()
     page = shown(opened, like(job, 5, state="failed"), files)

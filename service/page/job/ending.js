@@ -33,15 +33,12 @@ export function endingPart() {
     const isKnown = seen && seen.name !== ASKED;
     picture.alt = isKnown ? t`On the wall, ${within(seen.title)}` : "";
     picture.classList.toggle("asked", !isKnown);
-    if (!isMade) {
-      replace(next, makingWords(job, isKnown && seen));
-      if (seen) picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
-      return;
-    }
-    replace(next, words(job, artifacts, job.programs, []));
+    replace(next, isMade ? words(job, artifacts, job.programs, []) : makingWords(job, isKnown && seen));
+    const loaded = seen && shelf.get(artifacts.get(seen.name)).then((url) => key === shown && (picture.src = url), () => {});
+    if (!isMade) return;
     const toMill = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => unmilledOf(job, runs), () => job.programs);
     const known = knownMills();
-    picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
+    await loaded;
     replace(next, words(job, artifacts, await toMill, await known));
   }
   return { node, update, free: shelf.free };

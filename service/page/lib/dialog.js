@@ -28,12 +28,7 @@ export function open({ title, body, actions = [], wide = false }) {
       },
       h("h2", { id }, title),
       typeof body === "function" ? body(close) : body,
-      actions.length > 0 &&
-        h(
-          "div",
-          { class: "actions" },
-          actions.map((action) => button(action, close)),
-        ),
+      actions.length > 0 && h("div", { class: "actions" }, actions.map((action) => button(action, close))),
     );
     document.body.append(dialog);
     if (document.querySelector(".stops")) dialog.show();
