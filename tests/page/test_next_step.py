@@ -88,6 +88,7 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
     assert due({"state": "alarm"} | LOST)[:2] == ["home", "Home"]
     assert due(FRESH, jobs=0)[0] == "make"
     assert due(FRESH, jobs=0, at=True)[0] == "wait"
+    assert due(FRESH, at=True)[0] == "wait", "the job that is meant is still worked on: no other's program in its place"
     assert due(FRESH)[0] == "load", "the program says which tool and which block the zero is for"
     corner = due(FRESH, run=RUN)
     assert corner[:2] == ["corner", ""], "nothing sets a zero where homing has left the tool"

@@ -152,7 +152,7 @@ function findTopStep(machine, before) {
 
 function findLoadStep(run, { ready, jobs, atWork, preset }) {
   const none = ready && !jobs;
-  if (none && atWork) return makeStep("wait", t`wait for the running job (${atWork} is done), then load its program here. Clamp the block meanwhile.`, { kind: "busy" });
+  if (atWork && !preset?.meant) return makeStep("wait", t`wait for the running job (${atWork} is done), then load its program here. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
   if (run && isCut(run) && !run.next) return makeStep("done", doneWords(run), { go: "load" });
