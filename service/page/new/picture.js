@@ -94,11 +94,11 @@ function turn(context, quarters, width, height) {
   if (quarters === 3) context.transform(0, -1, 1, 0, 0, height);
 }
 
-/** The picture to send: {blob, name}; the file itself if nothing was changed. mostSide: a smaller copy is enough. */
+/** The picture to send: {blob, name}; the file itself if nothing was changed, so that estimate and job share a plan. mostSide: a smaller copy is enough. */
 export async function sentPicture(picture, edits, screen, { mostSide = MOST_SIDE } = {}) {
   const { file } = picture;
-  if (!picture.shown || (mostSide === MOST_SIDE && isUntouched(edits) && isSendable(picture)))
-    return { blob: file, name: file.name };
+  const isSmall = mostSide === MOST_SIDE || Math.max(picture.width, picture.height) <= mostSide;
+  if (!picture.shown || (isSmall && isUntouched(edits) && isSendable(picture))) return { blob: file, name: file.name };
   const part = partOf(picture, edits, screen);
   const scale = Math.min(1, mostSide / Math.max(part.width, part.height));
   const [width, height] = [part.width, part.height].map((side) => Math.max(1, Math.round(side * scale)));
