@@ -111,7 +111,7 @@ paper: $(READY)
 docs: $(READY)
 	$(call INSTALL_LOCK,requirements-docs.lock)
 	$(BIN)/python -m docs.site out/docs-source
-	$(BIN)/mkdocs build --strict --quiet --config-file out/docs-source/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --config-file out/docs-source/mkdocs.yml
 	@! grep -rlE '<(script|link|img)[^>]+(src|href)="?https?:' out/docs --include='*.html'  # each is a page that asks the web
 
 # The pictures of docs/: the page, by the test browser; six lenses, made into $(LENSES) where they are not there yet.

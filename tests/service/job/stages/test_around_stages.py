@@ -155,9 +155,9 @@ def test_the_check_command_knows_them(job: StagedJob, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (["stock.cut_out={radius_mm=2}"], "stock.margin_mm = 1.5 leaves 1.5 mm beside the lens"),
+        (["stock.cut_out={radius_mm=2}"], "stock.margin_mm: 1.5 leaves 1.5 mm beside the lens"),
         (["stock.cut_out={radius_mm=2}"], "needs 5 mm: its slot and 1 mm of frame; allowed: a margin of at least 5"),
-        (["stock.cut_out={radius_mm=0.2,tabs=9}"], "tabs = 9 of 4 mm do not fit"),
+        (["stock.cut_out={radius_mm=0.2,tabs=9}"], "tabs: 9 of 4 mm do not fit"),
         (["stock.cut_out={radius_mm=0.2,tab_height_mm=30}"], "more than half the block"),
         (["stock.face={radius_mm=1,pitch_mm=2.5}"], "leaves stock between the rows; allowed: 0.01 to 2"),
         (["stock.face={above_mm=0}"], "stock.face.above_mm: 0 is not allowed"),

@@ -13,7 +13,7 @@ _ESTIMATE: dict[str, Any] = {
     "relief_mm": 9.0, "max_slope_deg": 27.0, "thickness_ok": True, "throw_ok": True, "smallest_detail_mm": 2.5,
     "passes": [], "planned": False, "exact": True, "hours": 2.0, "blur_mm": 1.2, "psnr_db": None, "seen_db": None,
     "wall": None,
-    "blur_by": {"light_mm": 0.0, "milling_mm": 1.2}, "refusals": [], "changes": [],
+    "blur_by": {"light_mm": 0.0, "milling_mm": 1.2}, "refusals": [], "changes": [], "plans": [],
     "picture": {"width": 8, "height": 8},
 }  # fmt: skip
 
