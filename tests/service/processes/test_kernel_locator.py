@@ -107,9 +107,9 @@ def test_what_a_process_has_found_the_next_knows_while_the_sources_are_the_same(
     source.parent.mkdir()
 
     def known_to_a_process() -> dict[str, str]:
-        for one in (kernel_locator._known_hashes, _definition, _names):
+        for one in (kernel_locator._load_known_hashes, _definition, _names):
             one.cache_clear()
-        known = dict(kernel_locator._known_hashes(tmp_path))
+        known = dict(kernel_locator._load_known_hashes(tmp_path))
         assert kernel_locator._find_hash("optics.lower", "kernel", tmp_path)
         ends.pop()()
         return known
