@@ -76,6 +76,7 @@ def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: O
     """Progress, pictures, figures and programs come without a reload, across a crash of the API."""
     job = shop.begin()
     page = opened(f"#/jobs/{job}", errors=AWAY)
+    unfold(page)
     words = page.locator(".progress-words")
     expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=JOB_MS)
     shop.kill_api()
