@@ -26,18 +26,18 @@ SIDE, GAP, QUALITY = 480, 16, 82
 
 @dataclass(frozen=True)
 class Lens:
-    """title, why: for the reader. why: what keeps the wall from being the picture; by what it could be more"""
+    """why : for the reader, what keeps the wall from being the picture, and what would bring it closer"""
 
     name: str
     title: str
     picture: Path
-    options: tuple[str, ...]
+    options: str
     why: str
 
     def make(self, folder: Path) -> None:
         """Make it as a person does, by the command."""
         command = [str(Path(sys.executable).with_name("causticmill")), "make", str(self.picture), "-o", str(folder)]
-        subprocess.run([*command, *self.options, "--force", "--quiet"], check=True)
+        subprocess.run([*command, *self.options.split(), "--force", "--quiet"], check=True)
 
 
 LENSES = (
@@ -45,66 +45,43 @@ LENSES = (
         "camera",
         "A photograph, a desktop router",
         EXAMPLES / "camera.png",
-        (
-            "--machine",
-            "grbl",
-        ),
+        "--machine grbl",
         """Shapes, tones and the tripod are there; the face and the buildings are soft, and the sky has streaks. The
-streaks are what is left of the mill's rows: its steps of 4 µm are larger than the errors that a wall forgives.
-Sanding takes most of them off, and with them the finest parts of the picture.""",
+streaks are what is left of the mill's rows: its steps of 4 µm are larger than the errors that a wall
+forgives. Sanding takes most of them off, and with them the finest parts of the picture.""",
     ),
     Lens(
         "cup",
         "Large, smooth shapes",
         PHOTOGRAPHS / "coffee.png",
-        (
-            "--machine",
-            "grbl",
-        ),
+        "--machine grbl",
         """The highest figure of the six: large shapes with soft light on them. What is dark beside a highlight goes
-first: the front of the cup and the spoon are lost. If you may choose a picture, choose one with large shapes and no
-deep shadows.""",
+first: the front of the cup and the spoon are lost. If you may choose a picture, choose one with large
+shapes and no deep shadows.""",
     ),
     Lens(
         "cat",
         "A small lens on a 3018",
         PHOTOGRAPHS / "chelsea.png",
-        (
-            "--machine",
-            "grbl-3018",
-            "--set",
-            "optics.width_mm=60",
-            "--set",
-            "optics.height_mm=60",
-            "--set",
-            "optics.throw_mm=200",
-        ),
-        """Fur and whiskers are finer than what such a mill and felt leave of a lens of this size: they run
-together into
-waves. The wall is far away, which makes the lens flat and the milling short, and turns each error of its slope
-into a longer way on the wall.""",
+        "--machine grbl-3018 --set optics.width_mm=60 --set optics.height_mm=60 --set optics.throw_mm=200",
+        """Fur and whiskers are finer than what such a mill and felt leave of a lens of this size: they run together
+into waves. The wall is far away, which makes the lens flat and the milling short, and turns each error of
+its slope into a longer way on the wall.""",
     ),
     Lens(
         "logo",
         "White on black",
         EXAMPLES / "logo.png",
-        (
-            "--machine",
-            "grbl",
-        ),
-        """Clear at once, and yet the lowest figure: three quarters of the picture are black, and all light from
-there has
-to go elsewhere, over creases that a ball of this size does not reach into. What stays there is a veil. Half the
-radius of the ball, or twice the distance to the wall, halves it.""",
+        "--machine grbl",
+        """Clear at once, and yet the lowest figure: three quarters of the picture are black, and all light from there
+has to go elsewhere, over creases that a ball of this size does not reach into. What stays there is a veil.
+Half the radius of the ball, or twice the distance to the wall, halves it.""",
     ),
     Lens(
         "camera-roland",
         "The same photograph on a finer mill",
         EXAMPLES / "camera.png",
-        (
-            "--machine",
-            "roland-mdx-40a",
-        ),
+        "--machine roland-mdx-40a",
         """Steps of 2 µm in place of 4, and half the error from row to row: less for the sanding to take off, and more
 of the picture stays. The face is sharper, the grass is grass again, and the streaks are finer.""",
     ),
@@ -112,31 +89,24 @@ of the picture stays. The face is sharper, the grass is grass again, and the str
         "astronaut",
         "A portrait on a far wall",
         EXAMPLES / "astronaut.png",
-        (
-            "--machine",
-            "grbl",
-            "--set",
-            "optics.throw_mm=250",
-        ),
+        "--machine grbl --set optics.throw_mm=250",
         """The wall is two and a half times as far away as the lens is wide. That makes the lens flat and quick to
-mill, and lets each error of its slope travel farther: streaks, soft edges, the buttons gone. The face is still a
-face, as it is a large shape in soft light.""",
+mill, and lets each error of its slope travel farther: streaks, soft edges, the buttons gone. The face is
+still a face, as it is a large shape in soft light.""",
     ),
 )
 HEAD = """# How good will it be?
-Six lenses, made by one command each. Left the picture wanted, right what the wall will show: the light through
-the surface that
-the written programs leave on that mill, after the finish by hand, simulated. None of it is a photograph; no
-lens of ours has been cut
-yet. The figures are those of `report.json`; `make bench` makes the lenses again and measures them (section `lenses`).
+Six lenses, made by one command each. Left the picture wanted, right what the wall will show: the light through the
+surface that the written programs leave on that mill, after the finish by hand, simulated. None of it is a photograph;
+no lens of ours has been cut yet. The figures are those of `report.json`; `make bench` makes the lenses again and
+measures them (section `lenses`).
 
-How to read the figures: **as milled** is the wall before any work by hand, **finished** after it, and **the
-lens itself** what a perfect
-surface would show. The figure is PSNR over the whole picture; the words beside it follow what an eye sees,
-which is not the same: a black
-ground that is not quite dark costs many dB, and no one minds.
+How to read the figures: **as milled** is the wall before any work by hand, **finished** after it, and **the lens
+itself** what a perfect surface would show. The figure is PSNR over the whole picture; the words beside it follow what
+an eye sees, which is not the same: a black ground that is not quite dark costs many dB, and no one minds.
 """
 FOOT = """
+
 ## What makes it better
 | you change | what happens |
 |---|---|
@@ -147,9 +117,8 @@ FOOT = """
 | a mill of finer steps | [a little](passes.md): the finish covers the steps |
 | more hours | less and less: `causticmill plan` draws the curve for your picture |
 
-`causticmill plan PICTURE --machine NAME -o plan.png` predicts all this for your own picture and mill in a
-minute, and so does a new job on
-[the page](page.md).
+`causticmill plan PICTURE --machine NAME -o plan.png` predicts all this for your own picture and mill in a minute, and
+so does a new job on [the page](page.md).
 """
 
 

@@ -27,7 +27,7 @@ def thin_out(knots: Timeline, most: int = KNOTS) -> tuple[tuple[int, float], ...
 
 
 def compute_time_at_s(timeline: Timeline, line: int, *, lines: int, time_s: float) -> float:
-    """Return the time at which this line is executed. Without knots all lines take equally long."""
+    """Return when this line is executed. Without knots, every line takes the same time."""
     knots: list[Sequence[float]] = [(0, 0.0), *timeline, (max(lines, 1), time_s)]
     after = min(max(1, bisect_right([knot[0] for knot in knots], line)), len(knots) - 1)
     (line0, s0), (line1, s1) = knots[after - 1], knots[after]

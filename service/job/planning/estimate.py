@@ -222,7 +222,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: Kept
     is_planned = job.spec.to_be_planned
     if is_planned and whole is None:
         made = plans.make(job, target, at_once=True)
-        job, see, choices = job.with_spec(with_plan(job.spec, {"plan": made.figures})), made.see, made.choices
+        job, see, choices = job.with_spec(with_plan(job.spec, {"plan": made.figures})), made.see, made.choices()
     elif is_planned:
         planned = plan_for_picture(job, target, whole=whole)
         job, seconds = job.with_spec(with_plan(job.spec, {"plan": planned.settings()})), planned.chosen.seconds

@@ -17,6 +17,7 @@ import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -72,7 +73,7 @@ class MadePlan:
     notes   : of the passes, for the setup sheet
     draw    : returns plan.png
     see     : returns what the wall will show
-    choices : the quickest, the chosen and the best plan, each once, quickest first
+    choices : returns the quickest, the chosen and the best plan, each once, quickest first
     polished: the lens for its finish, which the next stage need not make again
     """
 
@@ -80,7 +81,7 @@ class MadePlan:
     notes: list[Phrase]
     draw: Callable[[], bytes]
     see: Callable[[], PredictedPicture]
-    choices: tuple[PlanChoice, ...] = ()
+    choices: Callable[[], tuple[PlanChoice, ...]] = tuple
     polished: Polished | None = None
 
 
@@ -132,7 +133,7 @@ def describe_plan(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -
         notes=blur_warnings(planned, milled_next=True),
         draw=draw,
         see=lambda: describe_light(planned.light, planned.chosen.marks),
-        choices=tuple(_describe_choice(planned, one, viewed_from) for one in planned.choices),
+        choices=cache(lambda: tuple(_describe_choice(planned, one, viewed_from) for one in planned.choices)),
         polished=planned.polished,
     )
 
@@ -158,13 +159,14 @@ def _load(path: Path, target: Array) -> MadePlan | None:
         stored_words = json.loads(words.tobytes())
         seen = PredictedPicture(light=light, target=target, **stored_words["seen"])
         found = restore(stored_words["plan"], stored_words["phrases"])
+        choices = tuple(PlanChoice(**one | {"seconds": tuple(one["seconds"])}) for one in stored_words["choices"])
         os.utime(path)  # in use: see `forget_oldest`
         return MadePlan(
             figures=found["figures"],
             notes=found["notes"],
             draw=picture.tobytes,
             see=lambda: seen,
-            choices=tuple(PlanChoice(**one | {"seconds": tuple(one["seconds"])}) for one in stored_words["choices"]),
+            choices=lambda: choices,
             polished=arrays.load_polished(io.BytesIO(lens)) if lens.size else None,
         )
     except (InputError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
@@ -177,7 +179,7 @@ def _keep(path: Path, made: MadePlan) -> bytes:
     light = seen.pop("light")
     del seen["target"]  # the caller has it already
     plan = {"figures": made.figures, "notes": made.notes}
-    choices = [asdict(one) for one in made.choices]
+    choices = [asdict(one) for one in made.choices()]
     words = json.dumps({"plan": plan, "phrases": phrases_in(plan), "seen": seen, "choices": choices}).encode()
     lens = b"" if made.polished is None else arrays.polished_bytes(made.polished)
     files = {"words": words, "picture": picture, "lens": lens}

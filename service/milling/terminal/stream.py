@@ -281,8 +281,8 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
 def _prepare_new_run(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Park a run and, if asked, go around its outline. Return the function that starts it once the person has confirmed
-    that all is in order.
+    """Park a run, go around its outline if the order asks for it, and let the person confirm that all is in order.
+    Return the run's id and the function that starts it.
     """
     run: RunReport = thread.call(
         lambda mill: mill.park(facts, order.program.resolve(), order.program.name, lift_mm=order.lift_mm)

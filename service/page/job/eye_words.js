@@ -1,4 +1,4 @@
-/** How alike picture and target look: words for `seen_db` (thresholds as in service/wording.py), and what was predicted. */
+/** Words for how alike picture and target look, from `seen_db`; thresholds as in service/wording.py. */
 
 import { t } from "../lib/language.js";
 
@@ -30,17 +30,4 @@ export function alikeWords(seenDb) {
 /** The word for a likeness. */
 export function eyeWords(seenDb) {
   return EYE.find(([least]) => seenDb >= least)?.[1] ?? t("not known");
-}
-
-/** Likenesses, in dB, of the jobs that this page has sent; forgotten when the page is loaded again. */
-const known = new Map();
-
-/** Keep the likeness of a job's estimate, in dB. */
-export function keepPrediction(jobId, seenDb) {
-  if (Number.isFinite(seenDb)) known.set(jobId, seenDb);
-}
-
-/** Return the predicted likeness of a job's milled lens, from its plan or its estimate; undefined if neither is known. */
-export function predictedLikeness(job) {
-  return job.report?.plan?.seen_db ?? known.get(job.id);
 }

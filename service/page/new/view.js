@@ -5,7 +5,7 @@ import { toast } from "../lib/dialog.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
-import { keepPrediction } from "../job/eye_words.js";
+import { keepPrediction } from "../job/prediction.js";
 import { allSettings } from "./all_settings.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";

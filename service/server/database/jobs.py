@@ -152,15 +152,15 @@ class JobBook:
 
     def read_facts(self, rows: Sequence[JobListRow]) -> dict[str, JobFacts]:
         """Return what a list shows of spec and report, by job; kept by version, for a report takes a while to read."""
-        unknown = [row.id for row in rows if (row.id, row.version) not in self._facts]
-        query = sa.select(jobs.c.id, jobs.c.version, jobs.c.spec, jobs.c.report).where(jobs.c.id.in_(unknown))
-        if unknown:
+        found = {row.id: facts for row in rows if (facts := self._facts.get((row.id, row.version))) is not None}
+        if unknown := [row.id for row in rows if row.id not in found]:
+            query = sa.select(jobs.c.id, jobs.c.version, jobs.c.spec, jobs.c.report).where(jobs.c.id.in_(unknown))
             with begin_reading(self.database) as connection:
-                for row in connection.execute(query):
-                    self._facts[row.id, row.version] = JobFacts.of(row.spec, row.report)
-        found = {row.id: self._facts[row.id, row.version] for row in rows if (row.id, row.version) in self._facts}
-        while len(self._facts) > _MOST_FACTS:
-            del self._facts[next(iter(self._facts))]
+                read = {(row.id, row.version): JobFacts.of(row.spec, row.report) for row in connection.execute(query)}
+            if len(self._facts) + len(read) > _MOST_FACTS:  # other threads may be reading the old ones
+                self._facts = {}
+            self._facts |= read
+            found |= {row.id: read[row.id, row.version] for row in rows if (row.id, row.version) in read}
         return found
 
     def list_stages(self, job_id: str) -> list[StageRun]:

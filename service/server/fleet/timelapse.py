@@ -8,11 +8,12 @@ Nothing else is kept than the files: their names say when they were taken. A ful
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+from service.processes.files import open_whole
 
 MOST_PICTURES = 300
 MOST_BYTES = 100_000_000  # of one run
@@ -42,14 +43,8 @@ class Timelapses:
         folder = self._folder / run_id
         is_new = not folder.is_dir()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        path = folder / f"{int(self._clock())}.jpg"
-        part = path.with_suffix(".part")
-        try:
-            with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
-                file.write(picture)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        with open_whole(folder / f"{int(self._clock())}.jpg", 0o600) as file:
+            file.write(picture)
         self._thin_out(run_id)
         if is_new:
             self._drop_old_runs()

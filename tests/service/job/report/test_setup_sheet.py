@@ -112,15 +112,11 @@ def test_four_pictures_stand_two_by_two():
     walls = ["target.png", "caustic.png", "caustic-as-milled.png", "caustic-as-finished.png"]
     for files in (walls[:3], walls):
         first = next(
-            attrs["class"]
-            for tag, attrs in map(_named, Page(render_report(REPORT, files=files)).tags)
-            if tag == "div" and attrs.get("class", "").startswith("pair")
+            classes
+            for tag, attributes in Page(render_report(REPORT, files=files)).tags
+            if tag == "div" and (classes := dict(attributes).get("class", "")).startswith("pair")
         )
         assert ("four" in first.split()) is (len(files) == 4)
-
-
-def _named(tag: tuple[str, list[tuple[str, str]]]) -> tuple[str, dict[str, str]]:
-    return tag[0], dict(tag[1])
 
 
 def test_pictures_that_are_not_there_are_not_shown():

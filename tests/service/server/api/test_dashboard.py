@@ -23,7 +23,7 @@ PANELS = {panel["title"]: panel for panel in DASHBOARD["panels"]}
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[str]]]:
+def metrics(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[str]]]:
     """Labels of each metric of a server that has worked."""
     with api_server(tmp_path_factory.mktemp("data")) as server:
         beat(server)
@@ -39,28 +39,28 @@ def _labels(server: ApiServer) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("title", PANELS)
-def test_a_panel_asks_for_what_there_is(exported: dict[str, set[str]], title: str) -> None:
+def test_a_panel_asks_for_what_there_is(metrics: dict[str, set[str]], title: str) -> None:
     for target in PANELS[title]["targets"]:
         query = promql.parse(target["expr"])
         asked = list(selectors(query))
         assert asked, target
         labels = set[str]()
         for one in asked:
-            assert one.name in exported, one.name
-            labels |= exported[one.name]
+            assert one.name in metrics, one.name
+            labels |= metrics[one.name]
             for matcher in one.matchers.matchers:
-                assert matcher.name in exported[one.name], target
+                assert matcher.name in metrics[one.name], target
                 assert matcher.name != "state" or matcher.value in (*StageState, *JobState), target
         named = set(re.findall(r"\{\{(\w+)\}\}", target["legendFormat"]))
         named |= {label for found in re.findall(r"by \(([^)]*)\)", target["expr"]) for label in found.split(", ")}
         assert named <= labels, target
 
 
-def test_every_figure_of_the_server_has_a_panel(exported: dict[str, set[str]]) -> None:
+def test_every_figure_of_the_server_has_a_panel(metrics: dict[str, set[str]]) -> None:
     """But those that only say how many results of stages are kept."""
     text = " ".join(target["expr"] for panel in PANELS.values() for target in panel["targets"])
     ours = {
-        re.sub("_(bucket|count|sum|total|created)$", "", name) for name in exported if name.startswith("causticmill")
+        re.sub("_(bucket|count|sum|total|created)$", "", name) for name in metrics if name.startswith("causticmill")
     }
     assert {name for name in ours if name not in text} == {"causticmill_stage_results"}
 

@@ -93,7 +93,7 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 @contextlib.contextmanager
-def listening(broker: Broker) -> Iterator[Listener]:
+def open_listener(broker: Broker) -> Iterator[Listener]:
     listener = Listener(Client(CallbackAPIVersion.VERSION2))
     client = listener.client
     client.on_connect = lambda *_: client.subscribe("#")
@@ -106,7 +106,7 @@ def listening(broker: Broker) -> Iterator[Listener]:
 
 
 @contextlib.contextmanager
-def publishing(url: str) -> Iterator[HomeAssistant]:
+def open_publisher(url: str) -> Iterator[HomeAssistant]:
     client = open_client(url)
     yield HomeAssistant(client)
     client.disconnect()
@@ -122,10 +122,10 @@ def shown_until(shown: HomeAssistant, machines: list[MachineView], listener: Lis
 @needs_broker
 def test_a_later_listener_sees_each_mill_and_its_state_and_a_dead_server(broker: Broker) -> None:
     machines = [mill(state="run", run="r"), mill(reachable=False).model_copy(update={"name": "the 2nd/mill"})]
-    with publishing(broker.url) as shown:
-        with listening(broker) as listener:
+    with open_publisher(broker.url) as shown:
+        with open_listener(broker) as listener:
             shown_until(shown, machines, listener)
-        with listening(broker) as later:
+        with open_listener(broker) as later:
             until(lambda: later.heard == listener.heard, what="what the broker keeps")
             shown._client.socket().shutdown(socket.SHUT_RDWR)  # type: ignore[union-attr]  # no goodbye: a server that died
             until(lambda: later.heard["causticmill/available"] == "offline")
@@ -138,21 +138,21 @@ def test_a_later_listener_sees_each_mill_and_its_state_and_a_dead_server(broker:
 def test_a_broker_that_has_lost_everything_gets_it_again(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(home_assistant, "_AGAIN_S", (1, 1))
     machines = [mill()]
-    with publishing(broker.url) as shown:
-        with listening(broker) as listener:
+    with open_publisher(broker.url) as shown:
+        with open_listener(broker) as listener:
             shown_until(shown, machines, listener)
         broker.stop()
         for state in ("run", "held", "alarm") * 20:
             shown.show([mill(state=state)])
         broker.start()
-        with listening(broker) as listener:
+        with open_listener(broker) as listener:
             shown_until(shown, machines, listener)
 
 
 @needs_broker
 @pytest.mark.thorough
 def test_a_server_shows_its_mill_and_subscribes_to_nothing(tmp_path: Path, mill: Bench, broker: Broker) -> None:
-    with shop(tmp_path / "data", mill, mqtt_url=broker.url) as floor, listening(broker) as listener:
+    with shop(tmp_path / "data", mill, mqtt_url=broker.url) as floor, open_listener(broker) as listener:
         topic = "causticmill/shop/state"
         until(lambda: json.loads(listener.heard.get(topic, "{}")).get("state") == "idle", what="an idle mill")
         run = floor.park(floor.job((40,)))
