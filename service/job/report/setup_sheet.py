@@ -32,6 +32,7 @@ from service.job.report.optics import (
     sentences_of_preparation,
     tolerance_sentences,
 )
+from service.job.report.other_shop import rows_for_another_shop
 from service.job.report.passes import (
     around_sentences,
     check_rows,
@@ -130,6 +131,7 @@ def describe_setup(
         "throw": _throw(block, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         "check_rows": check_rows(programs),
         "finishing": make_finishing_card(report),
+        "other_shop": rows_for_another_shop(spec, report, frozenset(files)),
         "holding": asdict(holding),
         "rapid_z_mm": rapid_z_mm,
         "tool_changes": _tool_changes(programs),

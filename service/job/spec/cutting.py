@@ -219,6 +219,7 @@ class StockSpec(Section):
     back_flatness_mm, back_period_mm : distance of the two planes that hold the waves of the face that light enters by,
                     and the length of these waves; left out: taken as flat
     clamps        : their places, for the check; the setup sheet shows where clamps may stand
+    step_file     : write the lens for CAD, and state on the setup sheet what another shop must hold
     """
 
     thickness_mm: Annotated[float, Field(ge=0.5, le=500), shown("Thickness of the block", card="main")] = 40.0
@@ -240,6 +241,10 @@ class StockSpec(Section):
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
     clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None
+    step_file: Annotated[
+        bool,
+        shown("Exact solid for CAD", "lens.step, for a shop with its own CAM; 75 MB for 512 pixels, packed to 15."),
+    ] = False
 
 
 def require_cut_out(

@@ -181,6 +181,11 @@ class OpticsSpec(Section):
         return counter_clockwise(self.outline)
 
     @property
+    def outline_or_shape(self) -> str | list[list[float]]:
+        """The name of a shape that has one, without corners in place of its curve; else the corners in order."""
+        return self.outline if isinstance(self.outline, str) else counter_clockwise(self.outline)
+
+    @property
     def light_crosses_block(self) -> bool:
         """Whether the thickness of the block affects the light."""
         return self.surface == "lens" and not LIGHT_WORDS[self.light.kind].is_square

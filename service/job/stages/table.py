@@ -128,7 +128,7 @@ _BEFORE = (
         name="heightfield",
         function=f"{_LENS}:run_heightfield",
         reads=(".heights.npz",),
-        spec=("stock.thickness_mm", "stock.margin_mm", "optics.outline"),
+        spec=("stock.thickness_mm", "stock.margin_mm", "stock.step_file", "optics.outline"),
         parts=(("facts", 1.0),),
     ),
     Stage(
