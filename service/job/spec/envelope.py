@@ -284,7 +284,8 @@ def _find_too_tall(
             key, fits_mm = "stock.thickness_mm", thick_mm - share * (stands_mm - most_mm)
         fits_mm = floor(10 * fits_mm + _ROUNDING_MM) / 10
         if fits_mm > 0:
-            words = Phrase("{problem}; allowed: at most {most_mm} mm on this mill", problem=words, most_mm=fits_mm)
+            most = f"{fits_mm:g}"
+            words = Phrase("{problem}; allowed: at most {most_mm} mm on this mill", problem=words, most_mm=most)
         yield (key, words), fits_mm if fits_mm > 0 else None
     elif stands_mm < least_mm - _ROUNDING_MM:
         words = Phrase(

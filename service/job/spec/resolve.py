@@ -108,9 +108,7 @@ class ResolvedJob:
             for key, value, allowed in unsupported
         ]
         if spec.machine.top_z_mm is not None and not machine.homing:
-            words = Phrase(
-                "{value:g} means nothing on a mill without homing; allowed: left out", value=machine.top_z_mm
-            )
+            words = Phrase("{value:g} is unknown to a mill without homing; allowed: left out", value=machine.top_z_mm)
             problems.append(("machine.top_z_mm", words))
         if problems:
             raise SpecError(problems)

@@ -32,7 +32,7 @@ _BLOCK = (
     "optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm", "stock.clamps", "stock.clamping",
 )  # fmt: skip
 _UNDER_HEAD = (
-    "stock.base_mm", "stock.skim_mm", "stock.face", "stock.cut_out", "machine.trace_outline", "passes",
+    "stock.base_mm", "stock.skim_mm", "stock.face", "stock.cut_out", "machine.trace_outline",
     *(f"machine.{name}" for name in ("bed_to_collet_mm", "table_mm", "gantry_mm", "nose_mm", "guesses")),
 )  # fmt: skip
 _BENCH = (
@@ -258,7 +258,7 @@ def _pass(number: int) -> Stage:
     """
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
-        tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
+        tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm", "stick_out_mm")
         fit = (*(f"passes.*.{key}" for key in (*tool, "stock_to_leave_mm", "step_down_mm")), "optics.min_radius_mm")
         reads = (*_PASS.reads, ".stock-0.npz")
         spec = (*own, *fit, *_UNDER_HEAD, "faced", "own_beginning")
