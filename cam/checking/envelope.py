@@ -23,6 +23,9 @@ NOSE_CLEARANCE_MM = 2.0
 ABOVE_CLAMPS_MM = 1.0
 """Of air between rapids and what is highest: it is set by hand, and its screw stands out."""
 
+CLAMP_GRIP_MM = 8.0
+"""Width of the block's top that a clamp needs."""
+
 USUAL_NOSE_MM = ((25.0, 25.0), (40.0, 100.0))
 """Nut and holder where a mill's are not known: as wide as those of ER32. A guess on the safe side of small mills."""
 
@@ -98,9 +101,12 @@ class Envelope:
         """Return how far a tool must stick out at least: the one rule of plans, checks and the setup sheet.
 
         At its lowest the collet's face is above the block, each cylinder of the nose above the clamps that it reaches,
-        and the flutes are outside the collet.
+        and the flutes are outside the collet. Where no clamps are named but have room on top, they may be as high as
+        rapids allow.
         """
         needs_mm = [max(0.0, self.top_mm)]
+        if not self.clamps and self.margin_mm - max(reach.beyond_mm) - reach.radius_mm >= CLAMP_GRIP_MM:
+            needs_mm.append(self.safe_z_mm - ABOVE_CLAMPS_MM - NOSE_CLEARANCE_MM)
         for clamp in self.clamps:
             away_mm = self.distance_mm(reach, clamp)
             needs_mm += [

@@ -223,8 +223,6 @@ CLAMPS = {
     "strap-m8": ClampKind("straps M8, 32 mm high", 32.0),
     "strap-m10": ClampKind("straps M10, 39 mm high", 39.0),
 }
-CLAMP_GRIP_MM = 8.0
-"""Width of the block's top that a clamp needs."""
 
 
 class ClampSpec(Section):

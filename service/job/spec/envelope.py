@@ -10,12 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import ceil, floor, inf
 
 from cam.around.specs import BESIDE_MM
-from cam.checking.envelope import ABOVE_CLAMPS_MM, NOSE_CLEARANCE_MM, USUAL_NOSE_MM, Envelope, Reach
+from cam.checking.envelope import ABOVE_CLAMPS_MM, CLAMP_GRIP_MM, NOSE_CLEARANCE_MM, USUAL_NOSE_MM, Envelope, Reach
 from cam.passes import Clamp
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase
 from service.errors import SpecError
-from service.job.spec.cutting import CLAMP_GRIP_MM, CLAMPS
+from service.job.spec.cutting import CLAMPS
 from service.job.spec.model import JobSpec
 
 Problem = tuple[str, Phrase]
