@@ -147,7 +147,7 @@ def describe_setup(
 
 def _state_stick_out(row: dict[str, Any], under_head: Mapping[str, Any], clearance_mm: float) -> None:
     """State how far a program's tool sticks out: as the job says, or at least so far."""
-    file = row.get("file")
+    file = str(row.get("file"))
     need_mm = clearance_mm - min(_z_bounds(row)[0], 0.0) if _z_bounds(row) else None
     need_mm = table(under_head.get("stick_out_mm")).get(file, need_mm)
     row["stick_out_mm"] = need_mm
@@ -167,8 +167,8 @@ def _describe_base(spec: Mapping[str, Any], under_head: Mapping[str, Any]) -> It
         yield Phrase("The block lies {base_mm:g} mm over the table, as the job says.", base_mm=stated_mm)
     elif most_mm is not None and least_mm > 0:
         yield Phrase(
-            "Lay the block {least_mm} to {most_mm} mm over the table (spoil board, sub plate, vice): lower, tools do not "
-            "come down to their cut, or cut into the table; higher, the head has no room above it.",
+            "Lay the block {least_mm} to {most_mm} mm over the table (spoil board, sub plate, vice): lower, tools do "
+            "not come down to their cut, or cut into the table; higher, the head has no room above it.",
             least_mm=number(ceil(10 * least_mm) / 10),
             most_mm=number(floor(10 * most_mm) / 10),
         )

@@ -18,7 +18,7 @@ _BESIDE_MM = 30.0
 
 
 def envelope_png(envelope: Envelope, reach: Reach, *, file: str, machine: str, base_mm: float) -> bytes:
-    """Draw both positions of one program's tool. base_mm : of what the block lies on, stated or the least that will do"""
+    """Draw both positions of one program's tool. base_mm : of what the block lies on"""
     figure = new_figure(10.0, 4.6)
     zero_mm = base_mm + envelope.thickness_mm
     stick_out_mm = envelope.stick_out_mm(reach)
@@ -39,7 +39,7 @@ def envelope_png(envelope: Envelope, reach: Reach, *, file: str, machine: str, b
     top_mm = max(zero_mm + envelope.safe_z_mm + stick_out_mm + 25.0, 1.05 * (envelope.bed_to_collet_mm or 0.0))
     panels[0].set_ylim(-8.0, top_mm)
     figure.suptitle(
-        f"{file} on {machine}: the tool sticks out {stick_out_mm:.1f} mm, the block lies {base_mm:.4g} mm over the table",
+        f"{file} on {machine}: it sticks out {stick_out_mm:.1f} mm, the block lies {base_mm:.4g} mm over the table",
         fontsize=10,
         color=_INK,
     )
