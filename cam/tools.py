@@ -38,8 +38,7 @@ class Tool:
 
     def reaches(self, depth_mm: float) -> bool:
         """Return whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
-        free_mm = self.stick_out_mm if self.shank_radius_mm <= self.radius_mm else self.flute_length_mm
-        return depth_mm <= free_mm
+        return self.shank_radius_mm <= self.radius_mm or depth_mm <= self.flute_length_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,5 +106,6 @@ def tool_pass(
         spindle_rpm=speeds.spindle_rpm,
         flute_length_mm=tool.flute_length_mm,
         shank_radius_mm=tool.shank_radius_mm,
+        stick_out_mm=tool.stick_out_mm,
         corner_radius_mm=tool.corner_radius_mm,
     )

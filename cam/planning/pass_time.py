@@ -93,6 +93,10 @@ class LensForm:
         """
         return _tips_mm(self, radius_mm)
 
+    def lowest_tip_mm(self, radius_mm: float) -> float:
+        """Return the lowest of them; a flat cutter of that radius stays higher."""
+        return float(self.tips_mm(radius_mm).min())
+
     @property
     def deepest_mm(self) -> float:
         return -float(self.heights_mm[0])

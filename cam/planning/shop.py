@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
+from cam.checking.envelope import Envelope, Reach
 from cam.duration import Kinematics
 from cam.materials import Material, limit_step_down_mm
 from cam.moves import SAFE_Z_MM
@@ -22,6 +23,7 @@ PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.14, 0.17, 
 PITCH_SHARE = 1 / 8
 """Greatest share of the radius for a finishing pass."""
 
+_SPARE_MM = 0.3  # the lens that is milled may reach so much deeper than the one that plans are made with
 _FINISH_STEP_DOWN_MM, _FINISH_STEP_DOWN_SHARE = 0.5, 1 / 3
 
 
@@ -34,6 +36,7 @@ class Shop:
     whole_steps       : vertices of finishing passes are placed where the path crosses whole steps
     margin_mm         : of the block around the lens
     room_mm           : room that the mill's travel leaves around the lens
+    envelope          : block and clamps under the mill's head, for how far tools must stick out; None: not considered
     strategies        : allowed for finishing passes
     collet_mm         : the thickest shank that the spindle takes
     removal_mm3_per_min : largest removal rate of spindle and frame
@@ -55,6 +58,7 @@ class Shop:
     digits: Digits | None = None
     safe_z_mm: float = SAFE_Z_MM
     room_mm: float = inf
+    envelope: Envelope | None = None
 
     @property
     def balls(self) -> tuple[Tool, ...]:
@@ -76,6 +80,19 @@ class Shop:
     def has_room_for(self, tool: Tool) -> bool:
         """Return whether block and travel leave the tool room around the lens."""
         return 2 * tool.radius_mm + CLEAR_MM <= self.margin_mm and tool.radius_mm <= self.room_mm
+
+    def least_stick_out_mm(self, tool: Tool, form: LensForm) -> float:
+        """Return how far the tool must stick out to cover the lens and its run-out."""
+        if self.envelope is None:
+            return form.deepest_mm
+        reach = Reach(
+            radius_mm=tool.radius_mm,
+            shank_radius_mm=tool.shank_radius_mm,
+            beyond_mm=(tool.radius_mm, tool.radius_mm),
+            lowest_mm=form.lowest_tip_mm(tool.radius_mm) - _SPARE_MM,
+            flute_length_mm=tool.flute_length_mm,
+        )
+        return self.envelope.least_stick_out_mm(reach)
 
     def layer_step_down_mm(self, tool: Tool, pitch_mm: float) -> float:
         """Return the material's step-down, limited by the mill's removal rate in rows at the tool's feed."""
@@ -138,10 +155,12 @@ def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> Phrase | None:
     steepest = float(form.slopes[-1])
     if tool.shank_radius_mm > tool.radius_mm and steepest * tool.shank_radius_mm > tool.flute_length_mm:
         return Phrase("its shank would touch slopes of {slope:.2g}", slope=steepest)
-    if form.deepest_mm > tool.stick_out_mm:
+    if (need_mm := shop.least_stick_out_mm(tool, form)) > tool.stick_out_mm:
         return Phrase(
-            "it sticks out {stick_out_mm:g} mm; the lens is {depth_mm:.1f} mm deep",
+            "it sticks out {stick_out_mm:g} mm; the lens is {depth_mm:.1f} mm deep and needs {need_mm:.1f} mm under "
+            "the collet",
             stick_out_mm=tool.stick_out_mm,
             depth_mm=form.deepest_mm,
+            need_mm=need_mm,
         )
     return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from math import inf
 from typing import Any, cast
@@ -17,17 +17,25 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from cam.around.specs import CutOut, Facing
+from cam.checking.envelope import Reach
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
-from cam.passes import PRESETS, Clamp, PassSpec, Stock
+from cam.passes import PRESETS, PassSpec, Stock
 from cam.posts.dialects import POSTS, find_unsupported
 from cam.posts.post import Coolant, Digits, HighPrecision, ProgramSetup
 from cam.tools import Tool
-from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile, replace_figures
 from phrases.phrase import Phrase
 from service.errors import FailedError, SpecError
 from service.job.spec.cutting import CutOutSpec, FaceSpec, MachineSpec, StockSpec
-from service.job.spec.envelope import find_beyond_travel
+from service.job.spec.envelope import (
+    find_beyond_travel,
+    find_misfits,
+    find_unstated,
+    list_clamps,
+    list_reaches,
+    safe_z_over_clamps_mm,
+)
 from service.job.spec.finish import FinishSpec, find_processes, resolve_finish
 from service.job.spec.finish_library import Process
 from service.job.spec.light import index_of
@@ -92,18 +100,30 @@ class ResolvedJob:
                 own[key] = tuple(value) if isinstance(value, list) else value
         if spec.finish.finishes and spec.machine.whole_steps is None:
             own["whole_steps"] = True  # a finish removes errors that alternate from row to row, not the control's
-        machine = replace(self.figures.profile, **own)
+        own.setdefault("safe_z_mm", safe_z_over_clamps_mm(spec, self.figures.profile.safe_z_mm))
+        machine = replace(self.figures.profile, **_changed_figures(self.figures.profile, own))
         unsupported = find_unsupported(machine.dialect, setup_of(machine))
-        if problems := [
+        problems = [
             (f"machine.{key}", Phrase("{value} is not allowed; allowed: {allowed}", value=value, allowed=allowed))
             for key, value, allowed in unsupported
-        ]:
+        ]
+        if spec.machine.top_z_mm is not None and not machine.homing:
+            words = Phrase("{value:g} is unknown to a mill without homing; allowed: left out", value=machine.top_z_mm)
+            problems.append(("machine.top_z_mm", words))
+        if problems:
             raise SpecError(problems)
         return machine
 
     def with_spec(self, spec: JobSpec) -> ResolvedJob:
         """Return the same figures for another spec that names the same mill, tools and processes."""
         return replace(self, spec=spec)
+
+
+def _changed_figures(profile: MachineProfile, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the job's own figures of the mill, with what does not hold beside them."""
+    base = {field.name: getattr(profile, field.name) for field in fields(profile)}
+    changed = replace_figures(base, own)
+    return {key: value for key, value in changed.items() if value is not base[key]}
 
 
 def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
@@ -165,7 +185,13 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += [*_beyond_the_mill(tool, machine, f"stock.{name}"), *_unheld(tool, machine, f"stock.{name}")]
-    beyond = list(find_beyond_travel(spec, machine, _radii_mm(job)))
+    problems += find_unstated(machine)
+    radii = _radii_mm(job)
+    reaches = list_reaches(spec, depth_mm=0.0)
+    if spec.to_be_planned:  # the least that any plan needs
+        least = Reach(radius_mm=radii[0], beyond_mm=(radii[0],) * 2, lowest_mm=-spec.stock.skim_mm, flute_length_mm=0.0)
+        reaches["passes"] = least
+    beyond = [*find_beyond_travel(spec, machine, radii), *find_misfits(spec, machine, reaches)]
     problems += [problem for problem, _ in beyond]
     if problems:
         raise SpecError(problems, {key: use for (key, _), use in beyond if use is not None})
@@ -255,7 +281,7 @@ def cam_stock_of(spec: JobSpec) -> Stock:
         height_mm=spec.optics.height_mm,
         thickness_mm=spec.stock.thickness_mm,
         margin_mm=spec.stock.margin_mm,
-        clamps=tuple(Clamp(**clamp.model_dump()) for clamp in spec.stock.clamps or ()),
+        clamps=list_clamps(spec),
     )
 
 
@@ -280,7 +306,11 @@ def facing_task_of(spec: JobSpec) -> Facing | None:
 
 def cut_out_of(spec: JobSpec) -> CutOut | None:
     """Return the cut-out of the lens in the form of the CAM package; None if there is none."""
-    return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm"}))
+    return (
+        None
+        if spec.stock.cut_out is None
+        else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm", "flute_length_mm"}))
+    )
 
 
 def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:

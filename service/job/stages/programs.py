@@ -17,6 +17,7 @@ from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
+from cam.planning.pass_time import LensForm
 from cam.posts.dialects import POSTS
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
@@ -39,7 +40,7 @@ from service.job.files import (
 )
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
-from service.job.spec.envelope import require_travel
+from service.job.spec.envelope import require_envelope
 from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, digits_of, setup_of
 from service.job.stages.context import StageContext
 from service.wording import duration
@@ -89,7 +90,9 @@ def require_millable(context: StageContext, heightfield: Heightfield) -> None:
     """Check everything about the balls of all passes and the travel that can be known before the first block."""
     passes = cam_passes_of(context.spec)
     with context.watch.stage("fit"):
-        require_travel(context.spec, context.machine, depth_mm=-float(heightfield.z_mm.min()))
+        form, depth_mm = LensForm.of(heightfield), -float(heightfield.z_mm.min())
+        lowest_mm = [form.lowest_tip_mm(one.radius_mm) for one in passes]
+        require_envelope(context.spec, context.machine, depth_mm=depth_mm, lowest_mm=lowest_mm)
         require_flutes(heightfield, passes)
         unfit = check_ball_fit(measure_lens(heightfield), passes, shaped_for_mm=context.spec.lens_radius_mm)
         if unfit:
