@@ -9,7 +9,7 @@ from cam.duration import Kinematics
 from cam.materials import Material, limit_step_down_mm
 from cam.moves import SAFE_Z_MM
 from cam.passes import PassSpec, Strategy
-from cam.planning.pass_time import LensForm
+from cam.planning.pass_time import LensForm, reached_mm_per_min
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.posts.post import Digits
 from cam.tools import Speeds, Tool
@@ -61,12 +61,21 @@ class Shop:
         """The tools that can finish."""
         return tuple(tool for tool in self.tools if tool.is_ball)
 
-    def speeds(self, tool: Tool) -> Speeds:
+    def speeds(self, tool: Tool, *, finishes: bool = False, like: tuple[LensForm, PassSpec] | None = None) -> Speeds:
+        """Return speeds and feeds of a tool. like : a lens and a pass over it, whose moves link and look-ahead limit"""
+        carried = reached = inf
+        if like is not None:
+            form, spec = like
+            carried = 60 * self.mill.lines_per_s * form.usual_chord_mm(spec)
+            reached = reached_mm_per_min(form, spec, self.mill)
         return Speeds.of(
             tool,
             self.material,
             spindle_rpm=self.spindle_rpm,
             max_rate_mm_per_min=self.mill.max_rate_mm_per_min,
+            finishes=finishes,
+            carried_mm_per_min=carried,
+            reached_mm_per_min=reached,
         )
 
     def holds(self, tool: Tool) -> bool:
