@@ -75,18 +75,21 @@ class Speeds:
         reached_mm_per_min  : mean speed of the mill however high the feed
         """
         start = material.start_values(tool.radius_mm)
-        fastest = max(min(tool.max_rpm, spindle_rpm[1]), spindle_rpm[0])
+        slowest, fastest = spindle_rpm[0], max(min(tool.max_rpm, spindle_rpm[1]), spindle_rpm[0])
         part = min(1.0, fastest / start.spindle_rpm) * tool.flutes / start.flutes
-        feed = max(1.0, float(round(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2], carried_mm_per_min))))
+        feed = _whole(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2], carried_mm_per_min))
+        reached, spindle = min(feed, reached_mm_per_min), (slowest, fastest)
         return cls(
-            spindle_rpm=start.choose_rpm(
-                min(feed, reached_mm_per_min), tool.flutes, finishes=finishes, spindle_rpm=(spindle_rpm[0], fastest)
-            ),
+            spindle_rpm=start.choose_rpm(reached, tool.flutes, finishes=finishes, spindle_rpm=spindle),
             feed_mm_per_min=feed,
-            plunge_mm_per_min=max(1.0, float(round(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2], feed)))),
+            plunge_mm_per_min=_whole(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2], feed)),
             step_down_mm=start.step_down_mm,
             chip_mm=start.chip_mm,
         )
+
+
+def _whole(feed_mm_per_min: float) -> float:
+    return max(1.0, float(round(feed_mm_per_min)))
 
 
 def contact_speed_m_per_min(radius_mm: float, spindle_rpm: float, slope: float) -> float:

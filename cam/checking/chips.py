@@ -29,9 +29,9 @@ _LENGTH, _FEED, _TEETH, _LINE, _X, _Y = range(6)  # columns of a block; _TEETH: 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChipTime:
-    """How long a program cuts [s] with chips below, within and above the band, by the feeds that are reached and, asked,
-    by those that are written; and where it cuts thinnest.
+    """How long a program cuts [s] with chips below, within and above the band, and where it cuts thinnest.
 
+    reached_s, asked_s : by the feeds that the mill reaches, and by those that are written
     thinnest_mm : mean chip of the time below the band; line, x_mm, y_mm: of its longest block; line 0: none
     """
 

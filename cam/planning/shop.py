@@ -22,6 +22,7 @@ PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.14, 0.17, 
 PITCH_SHARE = 1 / 8
 """Greatest share of the radius for a finishing pass."""
 
+_SLOW_FEED = 0.3
 _FINISH_STEP_DOWN_MM, _FINISH_STEP_DOWN_SHARE = 0.5, 1 / 3
 
 
@@ -77,6 +78,13 @@ class Shop:
             carried_mm_per_min=carried,
             reached_mm_per_min=reached,
         )
+
+    def cuts_chips(self, tool: Tool) -> bool:
+        """Return whether its spindle turns slowly enough for a rough's chips: at 0.3 of the feed, for 3 % of the time
+        is slower.
+        """
+        speeds = self.speeds(tool)
+        return _SLOW_FEED * speeds.feed_mm_per_min >= speeds.chip_mm[0] * tool.flutes * speeds.spindle_rpm
 
     def holds(self, tool: Tool) -> bool:
         """Return whether the spindle takes its shank."""

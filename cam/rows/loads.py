@@ -34,8 +34,8 @@ LOAD_SHARE = 0.42
 gives 0.5, and more beside a wall: `camera`, R = 3 mm, 0.5 mm, takes 45 % of that time, at 0.7 of its peak."""
 
 MOST_FEED = 2.0
-"""Share of the feed up to which it follows the load: above, chips would be thicker than in a slot, as a row's narrow bite
-thins them to a half."""
+"""Share of the feed up to which it follows the load: above, chips would be thicker than in a slot, as a row's narrow
+bite thins them to a half."""
 
 SLOT_SIDES, SLOT_DEPTH_SHARE = 0.4, 0.3
 """Of a slot's section, on both sides alike, and of the step-down: from there on a cut counts as a slot."""

@@ -82,14 +82,12 @@ class PassRow(Section):
     plunge_mm_per_min: Annotated[Rate | None, shown("Plunge", usual="usual")] = None
     spindle_rpm: Annotated[Speed | None, shown("Spindle", usual="usual")] = None
     flutes: Annotated[Annotated[int, Field(ge=1, le=8)] | None, shown("Flutes", usual="usual")] = None
-    tool_name: Annotated[
-        Annotated[str, Field(min_length=1, max_length=40)] | None, shown("Tool", usual="not named")
-    ] = None
+    tool_name: Annotated[Annotated[str, Field(min_length=1, max_length=40)] | None, shown("Tool", usual="none")] = None
     tool_number: Annotated[
         Annotated[int, Field(ge=1, le=9999)] | None, shown("Tool number", "In the mill's tool table.", usual="none")
     ] = None
     tool_stick_out_mm: Annotated[
-        Annotated[float, Field(ge=0.5, le=300)] | None, shown("Stick-out", "From tip to chuck.", usual="not stated")
+        Annotated[float, Field(ge=0.5, le=300)] | None, shown("Stick-out", "From tip to chuck.", usual="not checked")
     ] = None
     flute_length_mm: Annotated[
         Annotated[float, Field(ge=0.01, le=200)] | None, shown("Flute length", usual="not checked")
