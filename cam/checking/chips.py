@@ -3,8 +3,8 @@ off, against the band of the material.
 
 The feed per tooth is what cutter makers tabulate, so it is what is compared with their bands. The chip itself is
 thinner: a ball of radius R that is a deep cuts at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2, 0.36
-where a finish takes R / 15 off; makers' figures for such cuts take that into account. The band is compared with the feeds that are written; what the
-mill reaches of them while it speeds up, brakes or waits for the link is measured too.
+where a finish takes R / 15 off; makers' figures for such cuts take that into account. The band is compared with the
+feeds that are written; what the mill reaches of them while it speeds up, brakes or waits for the link is measured too.
 """
 
 from __future__ import annotations
