@@ -76,7 +76,7 @@ def run_pass(context: StageContext) -> None:
     for sentence in (
         *of_finish,
         *_of_starving(context.machine, spec, verdict),
-        *_of_chips(context.machine, spec, verdict),
+        *_of_chips(spec, verdict),
     ):
         context.note("passes", Phrase("{file}: {sentence}", file=written[0].file, sentence=sentence))
     row = {
@@ -198,7 +198,7 @@ def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) ->
     )
 
 
-def _of_chips(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
+def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
     """Yield how much of the time chips are thinner or thicker than the material's band, where, and what helps."""
     chips = verdict.chips
     if chips is None or chips.share >= CHIPS_WITHIN:
@@ -206,12 +206,11 @@ def _of_chips(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> It
     (below_s, _, above_s), whole_s = chips.asked_s, sum(chips.asked_s)
     least_mm, most_mm = spec.chip_mm
     if below_s >= above_s:
-        rpm = spec.spindle_rpm * chips.thinnest_mm / least_mm
         yield Phrase(
             "chips are too thin for {percent:.0f} % of the cutting time: edges rub and heat ({thin_um:.1f} µm per "
             "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; longest in line "
-            "{line} at X{x_mm:.2f} Y{y_mm:.2f}); it takes {rpm:.0f} rpm (the spindle begins at {slowest_rpm:g}), "
-            "fewer flutes, or a higher feed",
+            "{line} at X{x_mm:.2f} Y{y_mm:.2f}); it takes {rpm:.0f} rpm or, where the spindle cannot turn so slowly, "
+            "fewer flutes or a higher feed",
             percent=100 * below_s / whole_s,
             thin_um=1000 * chips.thinnest_mm,
             flutes=spec.flutes,
@@ -220,8 +219,7 @@ def _of_chips(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> It
             line=chips.line,
             x_mm=chips.x_mm,
             y_mm=chips.y_mm,
-            rpm=rpm,
-            slowest_rpm=machine.spindle_rpm[0],
+            rpm=spec.spindle_rpm * chips.thinnest_mm / least_mm,
         )
     else:
         yield Phrase(

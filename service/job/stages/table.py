@@ -149,7 +149,7 @@ _PASS = Stage(
     name="pass-*",
     function="service.job.stages.programs:run_pass",
     reads=("heightfield.npz",),
-    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS, "stock.material", "machine.spindle_rpm"),
+    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS, "stock.material"),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
 )
 _AROUND = "service.job.stages.around"
