@@ -42,6 +42,10 @@ class PassSpec:
     shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
     stick_out_mm      : from the tip to the collet, as clamped; None: as little as the program needs
     max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
+    flutes            : cutting edges
+    chip_mm           : least and most feed per tooth; feeds that follow the load do not exceed the most
+    tool_name, tool_number, tool_stick_out_mm : number in the mill's tool table, length from tip to chuck; None: not
+                        stated
     """
 
     name: str
@@ -61,6 +65,11 @@ class PassSpec:
     stick_out_mm: float | None = None
     corner_radius_mm: float | None = None
     max_rate_mm_per_min: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+    flutes: int = 2
+    chip_mm: tuple[float, float] = (0.0, math.inf)
+    tool_name: str | None = None
+    tool_number: int | None = None
+    tool_stick_out_mm: float | None = None
 
     @property
     def layer_mm(self) -> float:

@@ -230,6 +230,11 @@ def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> floa
     return _stretch(form) * float((ways / speeds).mean() / ways.mean())
 
 
+def reached_mm_per_min(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """Return the mean speed along the rows of a pass."""
+    return 60 * _stretch(form) / slowness_s_per_mm(form, spec, mill)
+
+
 def turn_s(spec: PassSpec, mill: Kinematics) -> float:
     """Return the time for braking into the turn between two rows and accelerating after it."""
     feed, acceleration = spec.feed_mm_per_min / 60, min(mill.acceleration_mm_per_s2[:2])

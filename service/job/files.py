@@ -32,8 +32,9 @@ from service.processes.files import open_whole
 
 SPEC, REPORT, REPORT_PAGE, SETUP_PDF = "spec.json", "report.json", "report.html", "setup-sheet.pdf"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
+STEP, PACKED_STEP = "lens.step", "lens.stpZ"  # one of them, where stock.step_file asks for it
 TARGET_PICTURE, PREPARED = "target.png", "prepared.png"
-LENS_FILES = (HEIGHTFIELD, MAP, SOLID, *list_pictures("lens"))
+LENS_FILES = (HEIGHTFIELD, MAP, SOLID, STEP, PACKED_STEP, *list_pictures("lens"))
 LIGHT_FILES = tuple(list_pictures("light"))
 AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
 FINISH_TOLERANCE = "finish-tolerance.png"
@@ -51,7 +52,7 @@ COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.np
 COUPON_FIT_FILES = ("coupon-fit.json", "coupon-fit.png", "coupon-fit.toml")
 COUPON_ARCHIVE = "coupon.zip"
 _KNOWN = {
-    *(SPEC, REPORT, REPORT_PAGE, SETUP_PDF, HEIGHTFIELD, MAP, SOLID),
+    *(SPEC, REPORT, REPORT_PAGE, SETUP_PDF, HEIGHTFIELD, MAP, SOLID, STEP, PACKED_STEP),
     *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
 _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))

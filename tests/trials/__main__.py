@@ -2,7 +2,7 @@
 of each when it was last run, on which commit, and what was seen.
 
     python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended renderer
-                           interpreter witness storm-sqlite storm-postgres]
+                           cad interpreter witness storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tests.benchmarks.reporting import machine, run_sections
 from tests.benchmarks.timing import Figure
-from tests.trials import interpreter, recommended, renderer, sections, witness
+from tests.trials import cad, interpreter, recommended, renderer, sections, witness
 from tests.trials.server import sections as server
 
 SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
@@ -33,6 +33,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "estimate": sections.estimate,
     "recommended": recommended.figures,
     "renderer": renderer.figures,
+    "cad": cad.figures,
     "interpreter": interpreter.figures,
     "witness": witness.figures,
     "storm-sqlite": server.sqlite_storm,

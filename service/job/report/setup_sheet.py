@@ -32,9 +32,12 @@ from service.job.report.optics import (
     sentences_of_preparation,
     tolerance_sentences,
 )
+from service.job.report.other_shop import rows_for_another_shop
 from service.job.report.passes import (
     around_sentences,
     check_rows,
+    chip_mm_of,
+    describe_bands,
     explain_zero_before_facing,
     flutes_in_words,
     order_in_words,
@@ -120,6 +123,7 @@ def describe_setup(
         "warnings": warnings,
         "notes": [note for note in _notes(programs) if note not in warnings],
         "around": around_sentences(spec, report),
+        "bands": describe_bands(str(table(spec.get("stock")).get("material")), programs),
         "material": _describe_block(table(spec.get("stock")).get("material")),
         "facing_zero": explain_zero_before_facing(spec),
         "coarse": 0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
@@ -130,6 +134,7 @@ def describe_setup(
         "throw": _throw(block, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         "check_rows": check_rows(programs),
         "finishing": make_finishing_card(report),
+        "other_shop": rows_for_another_shop(spec, report, frozenset(files)),
         "holding": asdict(holding),
         "base": list(_describe_base(spec, under_head)),
         "rapid_z_mm": rapid_z_mm,
@@ -298,7 +303,8 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
         row["shape"] = shape_of(row)
-        row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
+        row["cuts_high"], row["order"] = flutes_in_words(row), order_in_words(row)
+        row["chip_mm"] = chip_mm_of(row)
     return rows
 
 

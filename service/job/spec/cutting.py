@@ -84,6 +84,14 @@ class PassRow(Section):
     feed_mm_per_min: Annotated[Rate | None, shown("Feed", usual="usual")] = None
     plunge_mm_per_min: Annotated[Rate | None, shown("Plunge", usual="usual")] = None
     spindle_rpm: Annotated[Speed | None, shown("Spindle", usual="usual")] = None
+    flutes: Annotated[Annotated[int, Field(ge=1, le=8)] | None, shown("Flutes", usual="usual")] = None
+    tool_name: Annotated[Annotated[str, Field(min_length=1, max_length=40)] | None, shown("Tool", usual="none")] = None
+    tool_number: Annotated[
+        Annotated[int, Field(ge=1, le=9999)] | None, shown("Tool number", "In the mill's tool table.", usual="none")
+    ] = None
+    tool_stick_out_mm: Annotated[
+        Annotated[float, Field(ge=0.5, le=300)] | None, shown("Stick-out", "From tip to chuck.", usual="not checked")
+    ] = None
     flute_length_mm: Annotated[
         Annotated[float, Field(ge=0.01, le=200)] | None, shown("Flute length", usual="not checked")
     ] = None
@@ -162,6 +170,7 @@ class FaceSpec(Section):
     """
 
     above_mm: Annotated[float, Field(ge=0.01, le=20)] = 1.0
+    flutes: Annotated[int, Field(ge=1, le=8)] | None = None
     tool: Annotated[str, OneOf({name: {} for name in CUTTERS})] = "flat"
     radius_mm: Radius = 3.0
     shank_radius_mm: Radius | None = None
@@ -201,6 +210,7 @@ class CutOutSpec(Section):
     tab_width_mm: Annotated[float, Field(ge=0.1, le=100)] = 4.0
     tab_height_mm: Annotated[float, Field(ge=0.1, le=100)] = 1.5
     through_mm: Annotated[float, Field(ge=0, le=5), none_or_from(0.001)] = 0.0
+    flutes: Annotated[int, Field(ge=1, le=8)] | None = None
     step_down_mm: StepDown | None = None
     feed_mm_per_min: Rate | None = None
     plunge_mm_per_min: Rate | None = None
@@ -247,6 +257,7 @@ class StockSpec(Section):
     clamping      : clamps of a usual kind, anywhere along the left and the right side: rapids cross over them, and
                     tools stick out as far as their height asks for; "none": the setup sheet says where which fit
     clamps        : places of others, for the check; the setup sheet shows where clamps may stand
+    step_file     : write the lens for CAD, and state on the setup sheet what another shop must hold
     """
 
     thickness_mm: Annotated[float, Field(ge=0.5, le=500), shown("Thickness of the block", card="main")] = 40.0
@@ -280,6 +291,10 @@ class StockSpec(Section):
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
     clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None
+    step_file: Annotated[
+        bool,
+        shown("Exact solid for CAD", "lens.step, for a shop with its own CAM; 75 MB for 512 pixels, packed to 15."),
+    ] = False
 
 
 def require_cut_out(

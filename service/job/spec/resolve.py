@@ -48,7 +48,7 @@ _PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")
 _ROUNDING = 0.01  # of step-downs and feeds
-_CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
+_CHOSEN = {"pitch_mm", "flutes", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +165,11 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
     """
     rows = []
     for spec in PRESETS.get(preset, ()):
-        row = {key: value for key, value in asdict(spec).items() if not key.endswith(("_per_min", "_rpm"))}
+        row = {
+            key: value
+            for key, value in asdict(spec).items()
+            if key in PassRow.model_fields and key != "flutes" and not key.endswith(("_per_min", "_rpm"))
+        }
         rows.append({**row, "name": "finish" if spec.finishes else "rough"})
     return rows
 
@@ -228,7 +232,8 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
     spec, machine, material = job.spec, job.machine, MATERIALS[job.spec.stock.material]
     rows = []
     for row in spec.passes:
-        for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it
+        speeds = ("spindle_rpm", "feed_mm_per_min", "plunge_mm_per_min", "step_down_mm")
+        for keys in (speeds, speeds[1:], speeds[:1], ("flutes",)):  # each of them follows from the others
             chosen = _fill_row(row.model_copy(update=dict.fromkeys(keys)), machine, material)
             same = [key for key in keys if getattr(chosen, key) == getattr(row, key)]
             row = row.model_copy(update=dict.fromkeys(same))
@@ -271,7 +276,11 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
     """Return the passes in the form of the CAM package."""
-    return tuple(PassSpec(**row.model_dump()) for row in spec.passes)
+    material = MATERIALS[spec.stock.material]
+    return tuple(
+        PassSpec(**row.model_dump(exclude_none=True), chip_mm=material.start_values(row.radius_mm).chip_mm)
+        for row in spec.passes
+    )
 
 
 def cam_stock_of(spec: JobSpec) -> Stock:
@@ -309,7 +318,7 @@ def cut_out_of(spec: JobSpec) -> CutOut | None:
     return (
         None
         if spec.stock.cut_out is None
-        else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm", "flute_length_mm"}))
+        else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm", "flute_length_mm", "flutes"}))
     )
 
 
@@ -363,17 +372,23 @@ def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[Phrase]:
             )
 
 
-def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, float]:
+def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, Any]:
+    """Return flutes, feeds, speed and step-down. The feed follows the flutes and the fastest speed, or the one given;
+    then a speed that is not given follows the feed, so that chips are neither too thin nor too thick.
+    """
     start = material.start_values(row.radius_mm)
-    spindle = row.spindle_rpm
-    if spindle is None:
-        spindle = min(max(float(start.spindle_rpm), machine.spindle_rpm[0]), machine.spindle_rpm[1])
-    slower = min(1.0, spindle / start.spindle_rpm)
-    feed = min(feed_share * start.feed_mm_per_min * slower, *machine.max_rate_mm_per_min[:2])
-    plunge = min(start.plunge_mm_per_min * slower, machine.max_rate_mm_per_min[2])
+    flutes = row.flutes or start.flutes
+    fastest = row.spindle_rpm or min(max(float(start.spindle_rpm), machine.spindle_rpm[0]), machine.spindle_rpm[1])
+    part = min(1.0, fastest / start.spindle_rpm) * flutes / start.flutes
+    feed = min(feed_share * start.feed_mm_per_min * part, *machine.max_rate_mm_per_min[:2])
+    feed = row.feed_mm_per_min or max(1.0, float(round(feed)))
+    plunge = min(start.plunge_mm_per_min * part, machine.max_rate_mm_per_min[2], feed)
+    steady = not isinstance(row, PassRow) or row.stock_to_leave_mm == 0
     return {
-        "spindle_rpm": spindle,
-        "feed_mm_per_min": row.feed_mm_per_min or max(1.0, float(round(feed))),
+        "flutes": flutes,
+        "spindle_rpm": row.spindle_rpm
+        or start.choose_rpm(feed, flutes, finishes=steady, spindle_rpm=machine.spindle_rpm),
+        "feed_mm_per_min": feed,
         "plunge_mm_per_min": row.plunge_mm_per_min or max(1.0, float(round(plunge))),
         "step_down_mm": row.step_down_mm or start.step_down_mm,
     }

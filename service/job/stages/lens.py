@@ -135,10 +135,14 @@ def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
 
 
 def write_solid_block(context: StageContext, lens: Heightfield) -> None:
-    """Write lens.stl and lens.png: for viewing, never for CAM. ReliefTooDeep if too little of the block is left."""
+    """Write lens.stl and lens.png, for viewing, never for CAM; the STEP file where it is asked for. ReliefTooDeep if
+    too little of the block is left.
+    """
     require_fit_in_stock(context, lens)
     context.draw(SOLID, lambda: _stl(context.spec, lens))
     context.draw("lens.png", lambda: _lens_png(context.spec, lens))
+    if context.spec.stock.step_file:
+        context.save(*_step(context.spec, lens))
 
 
 def _stl(spec: JobSpec, lens: Heightfield) -> bytes:
@@ -152,6 +156,14 @@ def _stl(spec: JobSpec, lens: Heightfield) -> bytes:
             min_floor_mm=MIN_FLOOR_MM,
             outline_mm=spec.optics.outline_mm,
         )
+    )
+
+
+def _step(spec: JobSpec, lens: Heightfield) -> tuple[str, bytes]:
+    from service.job.report import step
+
+    return step.step_file(
+        step.step_pieces(lens, thickness_mm=spec.stock.thickness_mm, outline=spec.optics.outline_or_shape)
     )
 
 

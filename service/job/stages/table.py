@@ -134,7 +134,7 @@ _BEFORE = (
         name="heightfield",
         function=f"{_LENS}:run_heightfield",
         reads=(".heights.npz",),
-        spec=("stock.thickness_mm", "stock.margin_mm", "optics.outline"),
+        spec=("stock.thickness_mm", "stock.margin_mm", "stock.step_file", "optics.outline"),
         parts=(("facts", 1.0),),
     ),
     Stage(
@@ -149,7 +149,7 @@ _PASS = Stage(
     name="pass-*",
     function="service.job.stages.programs:run_pass",
     reads=("heightfield.npz",),
-    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS),
+    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS, "stock.material", "machine.spindle_rpm"),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
 )
 _AROUND = "service.job.stages.around"

@@ -14,6 +14,8 @@ const OFFERED = [
   [SHEET, t("Setup sheet"), t("to print and take to the mill")],
   ["setup-sheet.pdf", t("Setup sheet on one page (PDF)"), t("to hang beside the mill")],
   ["lens.stl", t("Solid of the lens (STL)"), t("to look at in other programs")],
+  ["lens.step", t("Exact solid of the lens (STEP)"), t("for a shop with its own CAM")],
+  ["lens.stpZ", t("Exact solid of the lens (STEP, packed)"), t("for a shop with its own CAM")],
   ["report.json", t("All figures (JSON)"), ""],
   ["spec.json", t("Settings (JSON)"), t("the job again from a terminal")],
 ];

@@ -29,6 +29,8 @@ _MEDIA_TYPES = {
     ".png": "image/png",
     ".pdf": "application/pdf",
     ".stl": "model/stl",
+    ".step": "model/step",
+    ".stpZ": "model/step+zip",
     ".npz": "application/zip",
     ".log": "text/plain; charset=utf-8",
 }

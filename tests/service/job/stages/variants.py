@@ -49,8 +49,9 @@ OTHER: dict[str, Any] = {
     "machine.bed_to_collet_mm": 120.0, "machine.table_mm": [150.0, 150.0], "machine.gantry_mm": 90.0,
     "stock.base_mm": 5.0, "passes.0.stick_out_mm": 25.0, "passes.1.stick_out_mm": 25.0,
     "machine.spindle_rpm": [2000.0, 19000.0], "passes.0.name": "other", "passes.1.name": "other",
+    "stock.material": "polycarbonate", "passes.0.tool_name": "ball-a", "passes.1.tool_name": "ball-b",
 }  # fmt: skip
-ONLY_ONE_VALUE = {"stock.material", "passes.0.where", "passes.1.corner_radius_mm"}
+ONLY_ONE_VALUE = {"passes.0.where", "passes.1.corner_radius_mm"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
