@@ -38,6 +38,7 @@ def describe_envelope(
     """Return figures for the report, and what they were taken from. SpecError if a program does not fit after all.
 
     stick_out_mm : by file; stated: the files whose tool is clamped as the job says, the others are at least so long
+    clamps_mm    : left, front, width and depth of each
     base_mm      : least and greatest height of what the block lies on; None: no bound is known
     """
     reaches, envelope = reaches_of(spec, report), envelope_of(spec, machine)
@@ -48,6 +49,7 @@ def describe_envelope(
         "stick_out_mm": {file: envelope.stick_out_mm(reach) for file, reach in reaches.items()},
         "stated": [file for file, reach in reaches.items() if reach.stick_out_mm is not None],
         "base_mm": [max(least_mm, 0.0), most_mm if isfinite(most_mm) else None],
+        "clamps_mm": [[one.x_mm, one.y_mm, one.width_mm, one.depth_mm] for one in envelope.clamps],
         "bed_to_collet_mm": machine.bed_to_collet_mm,
         "guesses": list(machine.guesses),
     }

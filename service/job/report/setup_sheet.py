@@ -249,7 +249,8 @@ def _block_of(
             outline_mm=_outline(optics),
             swept_mm=_swept(passes),
             witness_mm=_box(table(report.get("witness")).get("box_mm")),
-            clamps_mm=[_clamp(one) for one in stock.get("clamps") or ()],
+            clamps_mm=table(report.get("envelope")).get("clamps_mm")
+            or [_clamp(one) for one in stock.get("clamps") or ()],
             deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
         )
     except (KeyError, TypeError, ValueError):

@@ -60,11 +60,13 @@ def _draw_table(axes: Axes, envelope: Envelope, base_mm: float) -> None:
     axes.text(
         width_mm / 2 - margin_mm, base_mm + envelope.thickness_mm / 2, "block", fontsize=8, ha="center", color=_INK
     )
-    heights = [(zero_mm, "Z0", _MARK)]
+    heights: list[tuple[float, str, str]] = []
     if (top_mm := envelope.bed_to_collet_mm) is not None:
         heights += [(top_mm, "collet, highest", _INK), (top_mm - envelope.travel_z_mm, "collet, lowest", _INK)]
     if envelope.gantry_mm is not None and envelope.gantry_mm != envelope.bed_to_collet_mm:
         heights.append((envelope.gantry_mm, "gantry", _INK))
+    axes.plot([left_mm, right_mm], [zero_mm, zero_mm], "--", color=_MARK, linewidth=0.8)
+    axes.text(left_mm, zero_mm + 0.8, " Z0", fontsize=7, color=_MARK)
     for height_mm, words, colour in heights:
         axes.plot([left_mm, right_mm], [height_mm, height_mm], "--", color=colour, linewidth=0.8)
         axes.text(right_mm, height_mm + 0.8, words, fontsize=7, ha="right", color=colour)
