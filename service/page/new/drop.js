@@ -3,6 +3,8 @@
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
+import { at } from "../lib/root.js";
+import { gallery } from "./gallery.js";
 
 const KINDS = "image/png,image/jpeg,image/webp,image/tiff,image/bmp,image/gif,.tif,.tiff";
 
@@ -46,6 +48,16 @@ export function dropPlace({ words, onFile, compact = false, more }) {
   );
   receive(place, take);
   return place;
+}
+
+/** Where nobody has chosen a picture yet: a lens in a dark room, its light on the wall, which moves into focus (docs/draw_focus.py computes it), and the place to drop a picture. */
+export function darkRoom(onFile) {
+  const words = invitation(t(": your mill cuts it into a clear block, and light through that block paints it on the wall."));
+  const picture = (name) => at(`/page/jobs/${name}.avif`);
+  const still = h("source", { media: "(prefers-reduced-motion: reduce)", srcset: picture("focus-still") });
+  const light = h("img", { src: picture("focus"), alt: t("The light of a milled lens on a wall: an astronaut, smiling"), width: 416, height: 416 });
+  const scene = h("div", { class: "room-scene" }, h("span", { class: "room-beam" }), h("picture", {}, still, light), h("span", { class: "room-lens" }));
+  return h("div", { class: "room" }, dropPlace({ words, onFile, more: gallery(onFile) }), scene);
 }
 
 /** The instruction; without "drop" on a touch screen. */
