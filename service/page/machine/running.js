@@ -220,5 +220,6 @@ function leftOf({ state, time_s, time_left_s, share }) {
 }
 
 export function wholeJobWords(whole) {
-  return whole ? t`Program ${whole.number} of ${whole.count}. The whole job: ${percent(whole.share)} cut, ${hours(whole.left_s)} of milling left` : "";
+  if (!whole?.left_s) return whole ? t`Program ${whole.number} of ${whole.count}. The whole job is cut.` : "";
+  return t`Program ${whole.number} of ${whole.count}. The whole job: ${percent(whole.share)} cut, ${hours(whole.left_s)} of milling left`;
 }
