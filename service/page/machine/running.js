@@ -62,6 +62,7 @@ export function runCard(link) {
       node.hidden = !run;
       if (!run) return;
       const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words} ${isZeroed(run)}`;
+      if (!shown.startsWith(run.id)) words.clear(); // it was said of another run
       if (now !== shown) fill(run);
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
