@@ -52,7 +52,7 @@ export default async function view(root, params, app) {
     if (compact === !nothing) return;
     compact = !nothing;
     title.className = nothing ? "hidden-words" : "";
-    replace(begin, nothing ? darkRoom(take) : dropPlace({ words: invitation(t(" for a new job")), onFile: take, compact }));
+    replace(begin, nothing ? darkRoom(take, "focus") : dropPlace({ words: invitation(t(" for a new job")), onFile: take, compact }));
   };
   await list.start();
   return { leave: list.close };
