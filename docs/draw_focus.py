@@ -42,7 +42,7 @@ def main(job: Path, folder: Path) -> None:
     frames[0].save(
         folder / "focus.avif", save_all=True, append_images=frames[1:], duration=times, quality=QUALITY, speed=2
     )
-    frames[-1].save(folder / "focus-still.avif", quality=QUALITY + 10, speed=2)
+    frames[-1].save(folder / "focus-still.avif", quality=QUALITY - 6, speed=2)
 
 
 if __name__ == "__main__":

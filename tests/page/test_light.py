@@ -127,7 +127,7 @@ def test_wall_and_block_are_moved_by_keys_and_nothing_is_drawn_while_nothing_mov
     page.get_by_role("slider", name="Sun, width").fill("1")
     expect(page.get_by_role("slider", name="Sun, width")).to_have_attribute("aria-valuetext", "1°")
     expect(page.locator(".light-rows output")).to_have_text(["95 mm", "0°", "0°", "0°", "1°"])
-    page.get_by_role("button", name="Set all back").click()
+    page.get_by_role("button", name="Reset all").click()
     expect(page.locator(".light-words")).to_have_text("Wall at 100 mm, where it belongs")
 
 

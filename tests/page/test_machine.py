@@ -306,7 +306,7 @@ def test_a_run_says_since_when_until_what_time_and_how_much_of_its_whole_job_is_
     assert here[1] == "Program 2 of 3. The whole job: 50 % cut, 2 h of milling left"
     assert re.search(r"ends about \w+.* 22:30", late_[0])
     assert left_out == ["", "Program 2 of 3. The whole job: 5 % cut, 3 h 48 min of milling left"]
-    assert over[1] == "Program 3 of 3. The whole job: 100 % cut, 0 s of milling left"
+    assert over[1] == "Program 3 of 3. The whole job is cut."
     assert unknown[1] == in_air[1] == ""  # a dry pass cuts nothing of its job
 
 

@@ -109,7 +109,8 @@ function settings(sides, names) {
   const cell = (key) => (value) => h("td", {}, valueWords(key, value));
   const named = sides.find(({ job }) => passesOf(job).length)?.job ?? sides[0].job;
   const spec = { ...named.spec, passes: passesOf(named) };
-  const rows = differences(...sides.map(({ job }) => specOf(job))).map(([key, ...values]) =>
+  const seen = ([key, here, there]) => valueWords(key, here) !== valueWords(key, there);
+  const rows = differences(...sides.map(({ job }) => specOf(job))).filter(seen).map(([key, ...values]) =>
     h("tr", {}, h("th", { scope: "row" }, capital(settingWords(key, spec))), values.map(cell(key))),
   );
   const title = h("h2", { id: "compare-settings" }, t("Settings that differ"));

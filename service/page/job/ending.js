@@ -33,7 +33,7 @@ export function endingPart() {
     const isKnown = seen && seen.name !== ASKED;
     picture.alt = isKnown ? t`On the wall, ${within(seen.title)}` : "";
     picture.classList.toggle("asked", !isKnown);
-    replace(next, isMade ? words(job, artifacts, job.programs, []) : makingWords(job, isKnown && seen));
+    replace(next, isMade ? words(job, artifacts, job.programs, []) : makingWords(job, seen));
     const loaded = seen && shelf.get(artifacts.get(seen.name)).then((url) => key === shown && (picture.src = url), () => {});
     if (!isMade) return;
     const toMill = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => unmilledOf(job, runs), () => job.programs);
@@ -44,12 +44,12 @@ export function endingPart() {
   return { node, update, free: shelf.free };
 }
 
-/** seen: the light that is known by now. */
+/** seen: the picture that is there by now, if any. */
 function makingWords(job, seen) {
   const { machines } = mills.seen, to = machines.length === 1 ? `${addressOf(machines[0].name)}?job=${job.id}` : "#/machines";
-  const now = seen ? t`On the wall, ${within(seen.title)}` : t("the picture as asked for: its light is not worked out yet");
+  const now = seen && (seen.name === ASKED ? t("the picture as asked for: its light is not worked out yet") : t`On the wall, ${within(seen.title)}`);
   const ready = machines.length > 0 && h("p", {}, h("a", { class: "button", href: to }, t("Get the mill ready meanwhile")));
-  return [h("h2", { id: "ending-title" }, t("Your lens is being made")), h("p", { class: "dim" }, capital(now), "."), ready];
+  return [h("h2", { id: "ending-title" }, t("Your lens is being made")), now && h("p", { class: "dim" }, capital(now), "."), ready];
 }
 
 /** A job's programs that no mill has finished. */

@@ -30,7 +30,7 @@ export function lightPart() {
   const which = h("select", { "aria-label": t("Surface"), onchange: () => ((chosen = true), load()) });
   const fine = h("select", { "aria-label": t("Pixels of the picture"), onchange: () => begin() }, PIXELS.map((count) => h("option", { value: count }, t`${count} pixels`)));
   const rows = h("div", { class: "light-rows" });
-  const tools = h("div", { class: "row" }, which, fine, h("button", { type: "button", onclick: () => reset() }, t("Set all back")));
+  const tools = h("div", { class: "row" }, which, fine, h("button", { type: "button", onclick: () => reset() }, t("Reset all")));
   const live = h("div", { class: "light-live" }, canvas, h("div", { class: "stack" }, tools, words, rows, note));
   const node = fold("light", t("Light"), still, live);
   let files = new Map(), job = null, chosen = false, known = "", lens = null, picture = null, setting = null, sliders = [];

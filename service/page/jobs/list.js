@@ -4,12 +4,10 @@ import { api } from "../lib/api.js";
 import { confirm } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { at } from "../lib/root.js";
 import { isGoing } from "../lib/state.js";
 import { jobName, sentence } from "../lib/words.js";
-import { dropPlace, invitation } from "../new/drop.js";
+import { darkRoom, dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
-import { gallery } from "../new/gallery.js";
 import { isFound, jobCard } from "./card.js";
 
 const FILTERS = [
@@ -25,7 +23,6 @@ const SORTS = {
   old: [t("Oldest first"), (a, b) => NEWEST(b, a)],
   name: [t("By name"), (a, b) => jobName(a).localeCompare(jobName(b), [], { numeric: true, sensitivity: "base" })],
 };
-const WHAT = t(": your mill cuts it into a clear block, and light through that block paints it on the wall.");
 const BUSY_MS = 1500;
 const CALM_MS = 6000;
 const PAGE = 48;
@@ -55,19 +52,10 @@ export default async function view(root, params, app) {
     if (compact === !nothing) return;
     compact = !nothing;
     title.className = nothing ? "hidden-words" : "";
-    const words = invitation(nothing ? WHAT : t(" for a new job"));
-    replace(begin, nothing ? h("div", { class: "room" }, dropPlace({ words, onFile: take, more: gallery(take) }), room()) : dropPlace({ words, onFile: take, compact }));
+    replace(begin, nothing ? darkRoom(take, "focus") : dropPlace({ words: invitation(t(" for a new job")), onFile: take, compact }));
   };
   await list.start();
   return { leave: list.close };
-}
-
-/** A lens in a dark room, and its light on the wall, which moves into focus: docs/draw_focus.py computes it. */
-function room() {
-  const picture = (name) => at(`/page/jobs/${name}.avif`);
-  const still = h("source", { media: "(prefers-reduced-motion: reduce)", srcset: picture("focus-still") });
-  const light = h("img", { src: picture("focus"), alt: t("The light of a milled lens on a wall: an astronaut, smiling"), width: 416, height: 416 });
-  return h("div", { class: "room-scene" }, h("span", { class: "room-beam" }), h("picture", {}, still, light), h("span", { class: "room-lens" }));
 }
 
 function addressOf(asked) {

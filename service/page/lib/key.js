@@ -8,17 +8,17 @@ import { sentence } from "./words.js";
 
 const CODE = /^[0-9A-Z]{12}$/;
 const WHAT = {
-  "machine:run": t("Enter the code to run a mill."),
-  "jobs:write": t("Enter the code to make or change jobs."),
-  "jobs:read": t("This server asks for its code."),
+  "machine:run": t("Enter the code to run a mill"),
+  "jobs:write": t("Enter the code to make or change jobs"),
+  "jobs:read": t("Enter the code"),
 };
 
 /** Asks for the code; resolves whether one was given that the server knows. */
 export async function askForKey(scope) {
-  return (await open({ title: t("Enter the code"), body: (close) => form(scope, close) })) === true;
+  return (await open({ title: WHAT[scope] ?? WHAT["jobs:read"], body: form })) === true;
 }
 
-function form(scope, close) {
+function form(close) {
   const [hint, fault] = [freshId("hint"), freshId("fault")];
   const key = h("input", {
     id: freshId("code"),
@@ -56,7 +56,6 @@ function form(scope, close) {
   return h(
     "form",
     { class: "stack", onsubmit: send },
-    h("p", {}, WHAT[scope] ?? WHAT["jobs:read"]),
     h(
       "div",
       { class: "field" },

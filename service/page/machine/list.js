@@ -59,10 +59,10 @@ function card(name) {
     "li",
     { class: "card" },
     h("div", { class: "row spread" }, h("div", {}, h("h2", {}, link), state), picture, hold),
-    alarm,
-    meter,
-    words,
     about,
+    alarm,
+    words,
+    meter,
   );
   let drawn = "", lens = { id: "", name: "" };
 

@@ -10,12 +10,13 @@ import { refusalOf } from "./words.js";
 
 export function refusalLine() {
   const node = h("div", { class: "said", role: "status" });
+  const clear = () => (write(node, ""), node.classList.remove("bad"));
   return {
     node,
+    clear,
     /** Run an order and show in sight why it was refused, until the next one. True if it was accepted. */
     async run(order) {
-      write(node, "");
-      node.classList.remove("bad");
+      clear();
       try {
         await order();
         return true;

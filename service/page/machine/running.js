@@ -62,6 +62,7 @@ export function runCard(link) {
       node.hidden = !run;
       if (!run) return;
       const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words} ${isZeroed(run)}`;
+      if (!shown.startsWith(run.id)) words.clear(); // it was said of another run
       if (now !== shown) fill(run);
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
@@ -220,5 +221,6 @@ function leftOf({ state, time_s, time_left_s, share }) {
 }
 
 export function wholeJobWords(whole) {
-  return whole ? t`Program ${whole.number} of ${whole.count}. The whole job: ${percent(whole.share)} cut, ${hours(whole.left_s)} of milling left` : "";
+  if (!whole?.left_s) return whole ? t`Program ${whole.number} of ${whole.count}. The whole job is cut.` : "";
+  return t`Program ${whole.number} of ${whole.count}. The whole job: ${percent(whole.share)} cut, ${hours(whole.left_s)} of milling left`;
 }

@@ -48,18 +48,18 @@ export function ownCutters({ onChange }) {
     }
   }
   function shown(tool) {
-    const size = `Ø ${round(2 * tool.radius_mm)}${cornerWords(tool)}`;
+    const shape = shapeOf(tool), more = shape === "bull" ? ` R ${round(tool.corner_radius_mm)}` : shape === "flat" ? ` ${t("flat")}` : "";
+    const size = `Ø ${round(2 * tool.radius_mm)}${more}`;
     const drop = () => send("put", tools.filter((one) => one !== tool));
     const button = h("button", { type: "button", "aria-label": t`Take away ${size}`, disabled: tools.length === 1, onclick: drop }, "×");
-    return h("li", { title: t`cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
+    return h("li", { class: shape, title: t`cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
   }
   /** Values left out are those usual for such a cutter. */
   function asTool() {
     const read = (key, usually) => inputs[key].read() ?? usually;
     const diameter = read("diameter", 0), flute = read("flute", 3 * diameter), radius_mm = diameter / 2;
     const corner = read("corner", radius_mm), corner_radius_mm = corner < radius_mm ? corner : null;
-    const shape = corner_radius_mm === null ? "ball" : corner ? "bull" : "flat";
-    const names = new Set(tools.map(({ name }) => name)), plain = `${shape}-r${round(radius_mm)}`;
+    const names = new Set(tools.map(({ name }) => name)), plain = `${shapeOf({ radius_mm, corner_radius_mm })}-r${round(radius_mm)}`;
     const name = [plain, ...tools.map((_, k) => `${plain}-${k + 2}`)].find((one) => !names.has(one)) ?? `${plain}-1`;
     const shank_radius_mm = read("shank", Math.max(diameter, diameter < 3.175 ? 3.175 : 6)) / 2;
     return { name, radius_mm, corner_radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)), flutes: read("flutes", 2), number: read("number", null) };
@@ -67,9 +67,9 @@ export function ownCutters({ onChange }) {
   return [h("p", { class: "dim" }, INTRO), list, fields, said, usual];
 }
 
-function cornerWords({ radius_mm, corner_radius_mm = null }) {
-  if (corner_radius_mm === null || corner_radius_mm === radius_mm) return "";
-  return corner_radius_mm ? ` R ${round(corner_radius_mm)}` : ` ${t("flat")}`;
+function shapeOf({ radius_mm, corner_radius_mm = null }) {
+  if (corner_radius_mm === null || corner_radius_mm === radius_mm) return "ball";
+  return corner_radius_mm ? "bull" : "flat";
 }
 
 /** {node, input, read()}: a number above zero, null if it is left empty. */

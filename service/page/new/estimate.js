@@ -168,7 +168,7 @@ export function estimateCard() {
     needs,
   );
   const words = {
-    none: t("It appears as soon as there is a picture."),
+    none: "",
     busy: BUSY,
     known: "",
     problems: t("None until the fields marked in red are right."),

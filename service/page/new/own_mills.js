@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { labelled, numberInput, showRefusal } from "./cutters.js";
 
-const INTRO = t("Describe your mill by what differs from a known one: plans, programs and checks follow. An empty field is as in the known one.");
+const INTRO = t("Say what differs from a mill that is known here. What you leave empty is as in that one. Plans, programs and checks follow it.");
 const AXES = ["X", "Y", "Z"];
 const FIGURES = [["step_mm", t("Smallest step, µm"), 1000], ["z_noise_mm", t("Height error, µm"), 1000], ["collet_mm", t("Collet takes, mm"), 1], ["spindle_w", t("Spindle, W"), 1]];
 
@@ -19,7 +19,7 @@ export function ownMills({ profiles, onChanged }) {
   const figures = FIGURES.map(([key, label, factor]) => ({ key, factor, ...numberInput(label, "") }));
   const said = h("p", { class: "fault", role: "alert" });
   const keep = h("button", { type: "button", onclick: save }, t("Keep this mill"));
-  const fields = [name.node, labelled(t("Like"), like), words.node, ...[...travel, ...figures, ...speeds].map(({ node }) => node), keep];
+  const fields = [name.node, labelled(t("Most like"), like), words.node, ...[...travel, ...figures, ...speeds].map(({ node }) => node), keep];
   const each = (key, inputs) => inputs.map(({ input }, k) => [`${key}.${k}`, input]);
   const byField = Object.fromEntries([
     ["profile", name.input], ["extends", like], ["description", words.input],

@@ -4,10 +4,9 @@ import { freshId, h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { eyeWords, isFine } from "../job/eye_words.js";
 import { putAway } from "./draft.js";
-import { dropPlace, invitation } from "./drop.js";
+import { darkRoom, dropPlace } from "./drop.js";
 import { MOST_ZOOM, openPicture, sentPicture, UNTOUCHED } from "./picture.js";
 import { screenOf } from "./screen.js";
-import { gallery } from "./gallery.js";
 import { wall } from "./wall.js";
 
 const NOT_YET = t("the picture as asked for: its light is not worked out yet");
@@ -48,7 +47,7 @@ export function pictureSide({ spec, values, plans, onChange, onOpening }) {
   async function begin({ picture, edits, name: called, file }) {
     if (picture) use(picture, edits, called);
     else if (file) await take(file, called, edits);
-    else replace(place, dropPlace({ words: invitation(), onFile: take }), gallery(take));
+    else replace(place, darkRoom(take));
   }
 
   async function take(file, called, edits) {
@@ -99,7 +98,7 @@ export function pictureSide({ spec, values, plans, onChange, onOpening }) {
     if (now.estimate !== estimate) return; // something was changed meanwhile
     now.light = light;
     wallNote.classList.toggle("fine", !first && isFine(estimate.seen_db));
-    write(wallNote, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.seen_db));
+    write(wallNote, !light ? NO_LIGHT : first ? t("a first look") : eyeWords(estimate.seen_db));
     seen.draw();
   }
 

@@ -18,7 +18,6 @@ import { jobForm, sender } from "./submit.js";
 import { priorityRow, submitBar } from "./submit_bar.js";
 
 const FIRST_LOOK_SIDE = 1024; // pixels: enough for a first look
-const NO_PICTURE = t("Choose a picture first.");
 const CANNOT = t("Such a lens cannot be made.");
 
 export default async function view(root, params, app) {
@@ -132,7 +131,7 @@ function newJob(profiles, app, withMills) {
     const { spec } = form.read();
     coupon?.show(valueAt(spec, "machine.profile") ?? MACHINE_USUAL);
     own.update(spec);
-    foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.look);
+    foot.ready(side.fault() || now.why, now.look);
   }
 
   async function begin(/** @type {any} */ { spec, forMore, plan, ...start }) {
