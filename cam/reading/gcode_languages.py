@@ -173,7 +173,10 @@ class Language:
         rules[TAPE], rules[DWELL], rules[TWO_DIGITS] = self.tape, self.dwell, self.two_digits
         rules[POINTED], rules[DECIMALS] = _bits(self.pointed), self.most_decimals
         rules[LETTERS] = _bits(
-            "FIJNPRSTXYZ" + "Q" * (self.blends or self.precise) + "H" * (self.offsets_by_h or self.tools)
+            "FIJNPRSXYZ"
+            + "T" * self.tools
+            + "Q" * (self.blends or self.precise)
+            + "H" * (self.offsets_by_h or self.tools)
         )
         rules[BLENDS], rules[OFFSETS_BY_H] = self.blends, self.offsets_by_h
         rules[COOLANT], rules[PRECISE], rules[TOOLS] = self.coolant, self.precise, self.tools

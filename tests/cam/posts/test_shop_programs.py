@@ -66,7 +66,7 @@ def test_inches_are_read_back_to_half_a_digit_and_their_feed_is_never_faster(dia
 @pytest.mark.parametrize("units", ["mm", "inch"])
 def test_the_tool_comes_first_and_its_length_with_the_first_z_of_the_work_frame(dialect, top_mm, units, tmp_path):
     text = program(dialect, [(1, 2, -3), (4, 2, -3)], units=units, tool=3, stop=True, number_every=1, top_mm=top_mm)
-    lines = text.decode().split()
+    lines = text.decode().splitlines()
     change, stop = lines.index("T3M6"), lines.index("M1")
     length = next(k for k, line in enumerate(lines) if LENGTH[dialect] in line)
     in_work = [k for k, line in enumerate(lines) if re.search(r"(?<!G53G0)(?<!G16H0G0)Z-?\d", line) and line[0] != "("]
