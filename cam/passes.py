@@ -40,7 +40,12 @@ class PassSpec:
     where             : everywhere, or only where the pass before could not reach (cam.rows.rest)
     flute_length_mm   : length of the cutting edges, from the tip; None: not stated
     shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
+    stick_out_mm      : from the tip to the collet, as clamped; None: as little as the program needs
     max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
+    flutes            : cutting edges
+    chip_mm           : least and most feed per tooth; feeds that follow the load do not exceed the most
+    tool_name, tool_number, tool_stick_out_mm : number in the mill's tool table, length from tip to chuck; None: not
+                        stated
     """
 
     name: str
@@ -57,8 +62,14 @@ class PassSpec:
     spindle_rpm: float
     flute_length_mm: float | None = None
     shank_radius_mm: float | None = None
+    stick_out_mm: float | None = None
     corner_radius_mm: float | None = None
     max_rate_mm_per_min: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+    flutes: int = 2
+    chip_mm: tuple[float, float] = (0.0, math.inf)
+    tool_name: str | None = None
+    tool_number: int | None = None
+    tool_stick_out_mm: float | None = None
 
     @property
     def layer_mm(self) -> float:
@@ -90,7 +101,7 @@ class PassSpec:
             raise PassValueError(name="where", value=self.where, allowed=Phrase('only rows: strategy = "raster"'))
         for name in ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"):
             _require(name, getattr(self, name), above=0)
-        for name in ("flute_length_mm", "shank_radius_mm"):
+        for name in ("flute_length_mm", "shank_radius_mm", "stick_out_mm"):
             if (value := getattr(self, name)) is not None:
                 _require(name, value, above=0)
         _require("stock_to_leave_mm", self.stock_to_leave_mm, at_least=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import inf, pi, sqrt
 
 from cam.cutters import BALL, cutter_shape
 from cam.materials import Material
@@ -20,6 +20,7 @@ class Tool:
     max_rpm         : fastest speed its maker allows
     cost_class      : 1 cheap, 2 usual, 3 dear; of two equally good ones the cheaper is taken
     corner_radius_mm : 0 of a flat end mill, less than radius_mm of a bull-nose; None: a ball
+    number          : in the mill's tool table; None: not stated
     """
 
     name: str
@@ -31,6 +32,7 @@ class Tool:
     max_rpm: float
     cost_class: int
     corner_radius_mm: float | None = None
+    number: int | None = None
 
     @property
     def is_ball(self) -> bool:
@@ -38,8 +40,7 @@ class Tool:
 
     def reaches(self, depth_mm: float) -> bool:
         """Return whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
-        free_mm = self.stick_out_mm if self.shank_radius_mm <= self.radius_mm else self.flute_length_mm
-        return depth_mm <= free_mm
+        return self.shank_radius_mm <= self.radius_mm or depth_mm <= self.flute_length_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +51,7 @@ class Speeds:
     feed_mm_per_min: float
     plunge_mm_per_min: float
     step_down_mm: float
+    chip_mm: tuple[float, float]
 
     @classmethod
     def of(
@@ -59,22 +61,34 @@ class Speeds:
         *,
         spindle_rpm: tuple[float, float],
         max_rate_mm_per_min: tuple[float, float, float],
+        finishes: bool = False,
+        carried_mm_per_min: float = inf,
+        reached_mm_per_min: float = inf,
     ) -> Speeds:
-        """Return the material's start values within the limits of tool and mill; feeds are proportional to speed and
-        number of flutes.
+        """Return the material's start values within the limits of tool, mill and link. Feeds are proportional to the
+        fastest speed and to the number of flutes; then the speed follows the feed (`CuttingData.choose_rpm`).
 
         spindle_rpm         : slowest and fastest of the mill
         max_rate_mm_per_min : of its axes X, Y, Z
+        carried_mm_per_min  : feed for which the link delivers lines fast enough
+        reached_mm_per_min  : mean speed of the mill however high the feed
         """
         start = material.start_values(tool.radius_mm)
-        rpm = max(min(float(start.spindle_rpm), tool.max_rpm, spindle_rpm[1]), spindle_rpm[0])
-        part = min(1.0, rpm / start.spindle_rpm) * tool.flutes / start.flutes
+        slowest, fastest = spindle_rpm[0], max(min(tool.max_rpm, spindle_rpm[1]), spindle_rpm[0])
+        part = min(1.0, fastest / start.spindle_rpm) * tool.flutes / start.flutes
+        feed = _whole(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2], carried_mm_per_min))
+        reached, spindle = min(feed, reached_mm_per_min), (slowest, fastest)
         return cls(
-            spindle_rpm=rpm,
-            feed_mm_per_min=max(1.0, float(round(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2])))),
-            plunge_mm_per_min=max(1.0, float(round(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2])))),
+            spindle_rpm=start.choose_rpm(reached, tool.flutes, finishes=finishes, spindle_rpm=spindle),
+            feed_mm_per_min=feed,
+            plunge_mm_per_min=_whole(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2], feed)),
             step_down_mm=start.step_down_mm,
+            chip_mm=start.chip_mm,
         )
+
+
+def _whole(feed_mm_per_min: float) -> float:
+    return max(1.0, float(round(feed_mm_per_min)))
 
 
 def contact_speed_m_per_min(radius_mm: float, spindle_rpm: float, slope: float) -> float:
@@ -105,7 +119,13 @@ def tool_pass(
         feed_mm_per_min=speeds.feed_mm_per_min,
         plunge_mm_per_min=speeds.plunge_mm_per_min,
         spindle_rpm=speeds.spindle_rpm,
+        flutes=tool.flutes,
+        chip_mm=speeds.chip_mm,
+        tool_name=tool.name,
+        tool_number=tool.number,
+        tool_stick_out_mm=tool.stick_out_mm,
         flute_length_mm=tool.flute_length_mm,
         shank_radius_mm=tool.shank_radius_mm,
+        stick_out_mm=tool.stick_out_mm,
         corner_radius_mm=tool.corner_radius_mm,
     )

@@ -25,11 +25,14 @@ from machines.profile_values import (
     BadValueError,
     Rules,
     UnreadableFileError,
+    cylinders,
     flag,
+    names,
     number,
     one_of,
     pair,
     read_data,
+    sides,
     text,
     triple,
     whole,
@@ -151,6 +154,13 @@ class MachineProfile:
     removal_cm3_per_min    : largest removal rate that the frame bears, in rows; None: any
     top_z_mm               : machine Z of the raised head, where programs begin and end; None: machine coordinates mean
                              nothing, and programs begin at safe_z_mm
+    bed_to_collet_mm       : from the table to the collet's face, with the head at its top; None: not known
+    table_mm               : width and depth of the table, along X and Y; None: not known
+    gantry_mm              : from the table to the lowest part that spans it; None: nothing spans it, or not known
+    nose_mm                : what turns above the tool, from the collet's face up, as cylinders (radius, length): nut,
+                             holder; everything above the last is as wide as it
+    guesses                : keys among these figures that nobody has confirmed: programs are written only for a
+                             top_z_mm that the owner has stated, the setup sheet asks for the others to be measured
     whole_steps            : heights are written in whole steps, chosen so that the light suffers least
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
@@ -187,6 +197,11 @@ class MachineProfile:
     spindle_w: Annotated[float | None, number(1, 100_000, "W")] = None
     removal_cm3_per_min: Annotated[float | None, number(0.01, 10_000, "cm3/min")] = None
     top_z_mm: Annotated[float | None, number(-10_000, 10_000, "mm")] = None
+    bed_to_collet_mm: Annotated[float | None, number(1, 10_000, "mm")] = None
+    table_mm: Annotated[tuple[float, float] | None, sides(1, 100_000, "mm")] = None
+    gantry_mm: Annotated[float | None, number(1, 10_000, "mm")] = None
+    nose_mm: Annotated[tuple[tuple[float, float], ...], cylinders(0.5, 1000, "mm")] = ()
+    guesses: Annotated[tuple[str, ...], names("top_z_mm", "bed_to_collet_mm")] = ()
     z_noise_mm: Annotated[float, number(0, 0.1, "mm")] = 0.0005
     screw_error_mm: Annotated[Triple | None, triple(0, 0.1, "mm")] = None
     screw_lead_mm: Annotated[Triple, triple(0.1, 100, "mm")] = (2.0, 2.0, 2.0)
@@ -204,6 +219,18 @@ class MachineProfile:
     warm_up_s: Annotated[float, number(0, 3600, "s")] = 0.0
     trace_outline: Annotated[bool, flag()] = False
     description: Annotated[str, text(300)] = ""
+
+
+def replace_figures(figures: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a profile's figures with one's own in their place. What is known of another travel does not hold for this
+    one, and no figure of one's own is a guess.
+    """
+    (*sides_mm, z_mm), (*own_sides_mm, own_z_mm) = (
+        one.get("travel_mm", (0.0,) * 3) for one in (figures, {**figures, **own})
+    )
+    lost = ("table_mm",) * (sides_mm != own_sides_mm) + ("bed_to_collet_mm", "gantry_mm") * (z_mm != own_z_mm)
+    guesses = tuple(key for key in figures.get("guesses", ()) if key not in own and key not in lost)
+    return {**figures, **dict.fromkeys(lost), "guesses": guesses, **own}
 
 
 def user_folders(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
@@ -291,7 +318,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
     except ProfileError as error:
         words = Phrase("extends '{name}', which cannot be used: {why}", name=extends, why=error.words)
         raise ProfileError(file, words) from None
-    return base | own | {name: base[name] | table for name, table in tables.items()}
+    return replace_figures(base, own) | {name: base[name] | table for name, table in tables.items()}
 
 
 _PROFILE = Rules.of(MachineProfile)

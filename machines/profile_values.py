@@ -150,6 +150,37 @@ def pair(low: float, high: float, unit: str) -> Rule:
     return Rule(take, allowed)
 
 
+def sides(low: float, high: float, unit: str) -> Rule:
+    def take(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise ValueError
+        return tuple(_number(low, high, v) for v in value)
+
+    allowed = Phrase("two numbers [X, Y] from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
+    return Rule(take, allowed, (low, high))
+
+
+def cylinders(low: float, high: float, unit: str) -> Rule:
+    def take(value: Any) -> tuple[tuple[float, ...], ...]:
+        if not isinstance(value, list) or not all(isinstance(one, list) and len(one) == 2 for one in value):
+            raise ValueError
+        return tuple(tuple(_number(low, high, v) for v in one) for one in value)
+
+    allowed = Phrase(
+        "a list of pairs [radius, length], each from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit
+    )
+    return Rule(take, allowed, (low, high))
+
+
+def names(*known: str) -> Rule:
+    def take(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or any(one not in known for one in value):
+            raise ValueError
+        return tuple(value)
+
+    return Rule(take, Phrase("a list of {names}", names=", ".join(known)))
+
+
 def whole(low: int, high: int) -> Rule:
     def take(value: Any) -> int:
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:

@@ -43,18 +43,24 @@ ICE = """ICE = Material(
     sources=("a test",),
     cutting=(
         CuttingData(
-            radius_mm=3.0, flutes=2, spindle_rpm=10000, feed_mm_per_tooth=0.1, step_down_mm=2.0, plunge_share=0.5
+            radius_mm=3.0, flutes=2, spindle_rpm=10000, feed_mm_per_tooth=0.1, chip_mm=(0.02, 0.2), step_down_mm=2.0,
+            plunge_share=0.5,
         ),
     ),
 )
 
-MATERIALS: dict[str, Material] = {material.name: material for material in (PMMA, ICE)}
+MATERIALS: dict[str, Material] = {
+    material.name: material for material in (ICE, PMMA, PMMA_EXTRUDED, POLYCARBONATE, ALUMINIUM, BRASS)
+}
 """
 
 
 def test_a_material_is_added_in_one_file(tmp_path: Path) -> None:
     """The passes' feeds and the index are its own, those of a plan too, and the set-up sheet says what to buy."""
-    old = "MATERIALS: dict[str, Material] = {material.name: material for material in (PMMA,)}\n"
+    old = """MATERIALS: dict[str, Material] = {
+    material.name: material for material in (PMMA, PMMA_EXTRUDED, POLYCARBONATE, ALUMINIUM, BRASS)
+}
+"""
     copy_tree(tmp_path, {"cam/materials.py": (old, ICE)})
     program = (
         SCHEMA

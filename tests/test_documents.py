@@ -17,9 +17,14 @@ import pytest
 
 from docs import site
 from docs.release import LOCK, bill_of_materials
+from machines.mill.orders import GRANT_S
 from machines.profile import load_profile
 from service.cli.main import run
+from service.client.server import GRANT_WAIT_S
+from service.job.planning import witness
 from service.job.spec.loading import resolve_spec
+from service.job.stages import kept_plans
+from service.server.fleet import timelapse
 from service.settings import ServerSettings
 
 TOP = Path(__file__).parents[1]
@@ -154,6 +159,23 @@ def test_likeness_is_stated_only_where_the_bench_measures_it() -> None:
         assert named <= set(re.findall(r'^    "(\w+)": ', (TOP / "tests/benchmarks/__main__.py").read_text(), re.M)), (
             name
         )
+
+
+def test_times_and_sizes_in_the_guides_are_those_of_the_code() -> None:
+    """Any other figure of a guide is a maker's, or `make docs-pictures`, `make bench` or `make soak` has written it."""
+    stated = {
+        "page.md": [f"(`plans`, {kept_plans.KEPT_BYTES / 1e6:g} MB at most)"],
+        "passes.md": [f"a free strip at least {witness.LEAST_ROW_MM:g} mm wide"],
+        "rest.md": [f"within {GRANT_S:g} s", f"after {GRANT_WAIT_S:g} s, send nothing"],
+        "server.md": [
+            f"once, within {GRANT_S:g} s",
+            f"up to {timelapse.MOST_PICTURES} pictures ({timelapse.MOST_BYTES / 1e6:g} MB)",
+            f"`CAUSTICMILL_LEASE_S` ({ServerSettings.model_fields['lease_s'].default:g} s)",
+        ],
+    }
+    for name, sentences in stated.items():
+        text = " ".join((TOP / "docs" / name).read_text(encoding="utf-8").split())
+        assert [words for words in sentences if words not in text] == [], name
 
 
 def test_every_setting_of_the_server_is_described() -> None:

@@ -17,6 +17,7 @@ from itertools import chain
 
 import numpy as np
 
+from cam.checking.chips import Chips, ChipTime
 from cam.checking.clearance import Overlaps, witness_of
 from cam.checking.collision import Clamps, Collisions, shank_of
 from cam.checking.engagement import Engagement
@@ -84,6 +85,7 @@ class PassCheck:
     contour          : of a contour pass, how it runs (`cam.checking.path_quality`)
     rest             : of a rest pass, where it cuts: area_mm2, regions
     starved_s        : of time_s, how long the mill stands because lines come too slowly
+    chips            : how long it cuts with chips below, within and above the band of the material
     cut_bounds       : like bounds, without what goes on in the air: a trace around the block is wider than any cut
     stock_top        : what is left, for the next pass
     """
@@ -115,6 +117,7 @@ class PassCheck:
     contour: PathMeasures | None = None
     rest: RestAreas | None = None
     cut_bounds: Bounds | None = None
+    chips: ChipTime | None = None
 
     @property
     def ok(self) -> bool:
@@ -137,6 +140,7 @@ class PassCheck:
             },
             "unreached": [asdict(place) for place in self.unreached],
             "windows": [asdict(window) for window in self.windows],
+            **({} if self.chips is None else {"chips": {**asdict(self.chips), "share": self.chips.share}}),
             **({} if self.cut_bounds is None else {"cut_bounds": self.cut_bounds}),
             **({} if self.contour is None else {"contour": self.contour.as_report()}),
             **({} if self.rest is None else {"rest": self.rest.as_report()}),
@@ -187,7 +191,8 @@ class _Pending:
         self.batch = batch
         self.overlaps = pool.submit(run.watch, batch)
         self.drops = [pool.submit(run.whole.sweep, batch, share) for share in range(run.whole.shares)]
-        self.others = [pool.submit(run.duration.add, batch), pool.submit(run.cut_windows, batch)]
+        self.done = pool.submit(run.duration.add_batch, batch)
+        self.windows = pool.submit(run.cut_windows, batch)
 
 
 class _Run:
@@ -225,7 +230,7 @@ class _Run:
         self.witness = witness_of(heightfield, spec, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
         self.quality = PathQuality(heightfield, spec) if spec.strategy == "contour" else None
-        self.duration = DurationModel(kinematics)
+        self.duration, self.chips = DurationModel(kinematics), Chips(spec)
         self.rules = MoveRules(
             heightfield,
             spec,
@@ -259,8 +264,8 @@ class _Run:
         self.engagement.add(pending.batch, drops)
         self.collisions.add(pending.batch, drops, self.whole)
         self.clamps.add(pending.batch)
-        for other in pending.others:
-            other.result()
+        self.chips.add(pending.batch, drops, pending.done.result())
+        pending.windows.result()
 
     def verdict(self, report: Progress) -> PassCheck:
         depth, cell = self.whole.cut_at_rest()
@@ -309,6 +314,7 @@ class _Run:
             stock_top=after,
             contour=measures,
             rest=self.rest,
+            chips=self.chips.finish(self.duration.list_waiting_s()),
             cut_bounds=None if _as_wide(rules.cut_bounds, rules.bounds) else rules.cut_bounds,
         )
 

@@ -93,6 +93,10 @@ class LensForm:
         """
         return _tips_mm(self, radius_mm)
 
+    def lowest_tip_mm(self, radius_mm: float) -> float:
+        """Return the lowest of them; a flat cutter of that radius stays higher."""
+        return float(self.tips_mm(radius_mm).min())
+
     @property
     def deepest_mm(self) -> float:
         return -float(self.heights_mm[0])
@@ -224,6 +228,11 @@ def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> floa
     speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
     ways = form.tip_ways(spec)
     return _stretch(form) * float((ways / speeds).mean() / ways.mean())
+
+
+def reached_mm_per_min(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """Return the mean speed along the rows of a pass."""
+    return 60 * _stretch(form) / slowness_s_per_mm(form, spec, mill)
 
 
 def turn_s(spec: PassSpec, mill: Kinematics) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, log2
 from typing import Protocol
 
@@ -197,12 +197,12 @@ def _plan_beside_rows(rough: Roughing, fitting: list[tuple[Tool, LensForm]]) -> 
     shop = rough.shop
 
     def make_rows(tool: Tool, form: LensForm) -> None:
-        for finish in _generate_finishes(tool, shop):
+        for finish in _generate_finishes(tool, form, shop):
             rows_s(form, finish, shop.mill, shop.digits, made_rows=FEW_ROWS)
 
     with ThreadPoolExecutor(2) as beside:
         made = [beside.submit(make_rows, tool, form) for tool, form in fitting]
-        rough.plan_before(next(_generate_finishes(fitting[0][0], shop)))
+        rough.plan_before(next(_generate_finishes(*fitting[0], shop)))
         for one in made:
             one.result()
 
@@ -328,7 +328,7 @@ def _generate_candidates(
     tool: Tool, rough: Roughing, rests: RestWork, light: Light, made_rows: int
 ) -> Iterator[Candidate]:
     """Yield every finish with a tool, alone and, if it leaves stock, with a rest pass."""
-    for finish in _generate_finishes(tool, rough.shop):
+    for finish in _generate_finishes(tool, rough.form, rough.shop):
         if rough.plan_before(finish) is None:
             continue
         yield _make_candidate(rough, tool, finish, None, light, made_rows)
@@ -336,16 +336,21 @@ def _generate_candidates(
             yield _make_candidate(rough, tool, finish, rest, light, made_rows)
 
 
-def _generate_finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
-    speeds, step_down_mm = shop.speeds(tool), shop.finish_step_down_mm(tool)
+def _generate_finishes(tool: Tool, form: LensForm, shop: Shop) -> Iterator[PassSpec]:
+    """Yield finishing passes, at feeds for which the link carries the lines of this lens."""
+    step_down_mm = shop.finish_step_down_mm(tool)
     directions: tuple[Direction, ...] = ("x", "y")
     for strategy in shop.strategies:
         for direction in directions if strategy == "raster" else directions[:1]:
-            for pitch_mm in pitches_mm(tool):
-                yield tool_pass(
-                    "finish", tool, speeds, pitch_mm=pitch_mm, leaves_mm=0.0, step_down_mm=step_down_mm,
-                    direction=direction, strategy=strategy,
-                )  # fmt: skip
+            speeds, pitches = shop.speeds(tool, finishes=True), pitches_mm(tool)
+            asked = partial(
+                tool_pass, "finish", tool, leaves_mm=0.0, step_down_mm=step_down_mm, direction=direction,
+                strategy=strategy,
+            )  # fmt: skip
+            if pitches:
+                speeds = shop.speeds(tool, finishes=True, like=(form, asked(speeds, pitch_mm=pitches[0])))
+            for pitch_mm in pitches:
+                yield asked(speeds, pitch_mm=pitch_mm)
 
 
 def _make_candidate(

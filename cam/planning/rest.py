@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil
 
 import numpy as np
@@ -133,11 +133,12 @@ class RestWork:
         return self._known[key]
 
     def _plan_pass(self, tool: Tool, filled: Filled, direction: Direction, pitch_mm: float) -> RestPass:
-        spec = _make_spec(tool, self._shop, pitch_mm, direction)
+        near = filled.form_near(self._form)
+        spec = _make_spec(tool, self._shop, pitch_mm, direction, near)
         return RestPass(
             tool=tool,
             spec=spec,
-            slopes=self._shop.slopes(filled.form_near(self._form), spec),
+            slopes=self._shop.slopes(near, spec),
             extent=RestExtent.of(filled, self._form, spec, self._shop.mill),
         )
 
@@ -168,13 +169,13 @@ def _pitch_mm(tool: Tool, finish: PassSpec) -> float:
     return max((pitch for pitch in pitches_mm(tool) if pitch <= allowed + 1e-9), default=pitches_mm(tool)[0])
 
 
-def _make_spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) -> PassSpec:
+def _make_spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction, near: LensForm) -> PassSpec:
     step_down_mm = shop.finish_step_down_mm(tool)
-    spec = tool_pass(
-        "rest", tool, shop.speeds(tool), pitch_mm=pitch_mm, leaves_mm=0.0, step_down_mm=step_down_mm,
-        direction=direction,
-    )  # fmt: skip
-    return replace(spec, where="rest")
+    asked = partial(
+        tool_pass, "rest", tool, pitch_mm=pitch_mm, leaves_mm=0.0, step_down_mm=step_down_mm, direction=direction
+    )
+    like = asked(shop.speeds(tool, finishes=True))
+    return replace(asked(shop.speeds(tool, finishes=True, like=(near, like))), where="rest")
 
 
 def _reach_mm(form: LensForm, spec: PassSpec) -> float:

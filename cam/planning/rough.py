@@ -100,7 +100,9 @@ class Roughing:
                 and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM, 2 * self.shop.room_mm)
                 and self.shop.has_room_for(tool)
                 and tool.reaches(self.form.deepest_mm)
+                and self.shop.least_stick_out_mm(tool, self.form) <= tool.stick_out_mm
             ]
+            tools = [tool for tool in tools if self.shop.cuts_chips(tool)] or tools
             flat = [one for one in tools if not one.is_ball and one.radius_mm <= 2 * finish.radius_mm]
             found = map(self._find_quickest, ([one for one in tools if one.is_ball], flat))
             self._roughs[finish.radius_mm] = [way for way in found if way is not None]

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
+from cam.checking.envelope import Envelope, Reach
 from cam.duration import Kinematics
 from cam.materials import Material, limit_step_down_mm
 from cam.moves import SAFE_Z_MM
 from cam.passes import PassSpec, Strategy
-from cam.planning.pass_time import LensForm
+from cam.planning.pass_time import LensForm, reached_mm_per_min
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.posts.post import Digits
 from cam.tools import Speeds, Tool
@@ -22,6 +23,8 @@ PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.14, 0.17, 
 PITCH_SHARE = 1 / 8
 """Greatest share of the radius for a finishing pass."""
 
+_SPARE_MM = 0.3  # the lens that is milled may reach so much deeper than the one that plans are made with
+_SLOW_FEED = 0.3
 _FINISH_STEP_DOWN_MM, _FINISH_STEP_DOWN_SHARE = 0.5, 1 / 3
 
 
@@ -34,6 +37,7 @@ class Shop:
     whole_steps       : vertices of finishing passes are placed where the path crosses whole steps
     margin_mm         : of the block around the lens
     room_mm           : room that the mill's travel leaves around the lens
+    envelope          : block and clamps under the mill's head, for how far tools must stick out; None: not considered
     strategies        : allowed for finishing passes
     collet_mm         : the thickest shank that the spindle takes
     removal_mm3_per_min : largest removal rate of spindle and frame
@@ -55,19 +59,36 @@ class Shop:
     digits: Digits | None = None
     safe_z_mm: float = SAFE_Z_MM
     room_mm: float = inf
+    envelope: Envelope | None = None
 
     @property
     def balls(self) -> tuple[Tool, ...]:
         """The tools that can finish."""
         return tuple(tool for tool in self.tools if tool.is_ball)
 
-    def speeds(self, tool: Tool) -> Speeds:
+    def speeds(self, tool: Tool, *, finishes: bool = False, like: tuple[LensForm, PassSpec] | None = None) -> Speeds:
+        """Return speeds and feeds of a tool. like : a lens and a pass over it, whose moves link and look-ahead limit"""
+        carried = reached = inf
+        if like is not None:
+            form, spec = like
+            carried = 60 * self.mill.lines_per_s * form.usual_chord_mm(spec)
+            reached = reached_mm_per_min(form, spec, self.mill)
         return Speeds.of(
             tool,
             self.material,
             spindle_rpm=self.spindle_rpm,
             max_rate_mm_per_min=self.mill.max_rate_mm_per_min,
+            finishes=finishes,
+            carried_mm_per_min=carried,
+            reached_mm_per_min=reached,
         )
+
+    def cuts_chips(self, tool: Tool) -> bool:
+        """Return whether its spindle turns slowly enough for a rough's chips: at 0.3 of the feed, for 3 % of the time
+        is slower.
+        """
+        speeds = self.speeds(tool)
+        return _SLOW_FEED * speeds.feed_mm_per_min >= speeds.chip_mm[0] * tool.flutes * speeds.spindle_rpm
 
     def holds(self, tool: Tool) -> bool:
         """Return whether the spindle takes its shank."""
@@ -76,6 +97,19 @@ class Shop:
     def has_room_for(self, tool: Tool) -> bool:
         """Return whether block and travel leave the tool room around the lens."""
         return 2 * tool.radius_mm + CLEAR_MM <= self.margin_mm and tool.radius_mm <= self.room_mm
+
+    def least_stick_out_mm(self, tool: Tool, form: LensForm) -> float:
+        """Return how far the tool must stick out to cover the lens and its run-out."""
+        if self.envelope is None:
+            return form.deepest_mm
+        reach = Reach(
+            radius_mm=tool.radius_mm,
+            shank_radius_mm=tool.shank_radius_mm,
+            beyond_mm=(tool.radius_mm, tool.radius_mm),
+            lowest_mm=form.lowest_tip_mm(tool.radius_mm) - _SPARE_MM,
+            flute_length_mm=tool.flute_length_mm,
+        )
+        return self.envelope.least_stick_out_mm(reach)
 
     def layer_step_down_mm(self, tool: Tool, pitch_mm: float) -> float:
         """Return the material's step-down, limited by the mill's removal rate in rows at the tool's feed."""
@@ -138,10 +172,12 @@ def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> Phrase | None:
     steepest = float(form.slopes[-1])
     if tool.shank_radius_mm > tool.radius_mm and steepest * tool.shank_radius_mm > tool.flute_length_mm:
         return Phrase("its shank would touch slopes of {slope:.2g}", slope=steepest)
-    if form.deepest_mm > tool.stick_out_mm:
+    if (need_mm := shop.least_stick_out_mm(tool, form)) > tool.stick_out_mm:
         return Phrase(
-            "it sticks out {stick_out_mm:g} mm; the lens is {depth_mm:.1f} mm deep",
+            "it sticks out {stick_out_mm:g} mm; the lens is {depth_mm:.1f} mm deep and needs {need_mm:.1f} mm under "
+            "the collet",
             stick_out_mm=tool.stick_out_mm,
             depth_mm=form.deepest_mm,
+            need_mm=need_mm,
         )
     return None

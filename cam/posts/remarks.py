@@ -14,9 +14,19 @@ def describe_pass(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
     return (
         f"pass {spec.name}: {name_cutter(spec)} radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",
         f"leaves {n(spec.stock_to_leave_mm)} mm, step-down {n(spec.step_down_mm)} mm",
+        describe_tool(spec),
         f"block {block} x {n(stock.thickness_mm)} mm, margin {n(stock.margin_mm)} mm",
         f"{_CORNER}, Z0: top of the block, mm",
     )
+
+
+def describe_tool(spec: PassSpec) -> str:
+    """Return the tool as far as it is stated: number, name, flutes, stick-out; and its feed per tooth."""
+    number = f"T{spec.tool_number} " if spec.tool_number else ""
+    out = f", stick-out {n(spec.tool_stick_out_mm)} mm" if spec.tool_stick_out_mm else ""
+    chip_mm = spec.feed_mm_per_min / (spec.spindle_rpm * spec.flutes)
+    name = f"{spec.tool_name}, " if spec.tool_name else ""
+    return f"tool {number}{name}{spec.flutes} flute{'s' * (spec.flutes > 1)}{out}, {n(chip_mm)} mm per tooth"
 
 
 def name_cutter(spec: PassSpec) -> str:

@@ -113,11 +113,11 @@ class ProgramWriter:
         )
 
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
-        """Write the way up, switch off everything that the start switched on, spindle off, end."""
+        """Write the way up, if the tool is not there; switch off what the start switched on, spindle off, end."""
         setup = setup or ProgramSetup()
-        return self._write_templates(
-            (self._way_up(setup), *_off(setup), *self.post.end), self._heights(setup, safe_z_mm)
-        )
+        is_up = setup.top_z_mm is None and self._state[2] == math.floor(safe_z_mm * 10**self.post.z_decimals + 0.5)
+        way_up = () if is_up and self._motion == self.post.rapid else (self._way_up(setup),)
+        return self._write_templates((*way_up, *_off(setup), *self.post.end), self._heights(setup, safe_z_mm))
 
     def _way_up(self, setup: ProgramSetup) -> str:
         return self.post.lift if setup.top_z_mm is None else self.post.top

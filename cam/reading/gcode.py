@@ -51,7 +51,7 @@ class MoveBatch:
     is_rapid (n,)            : bool, G0
     feed_mm_per_min (n,)     : feed in force (0 until one is given; only rapids may have that)
     line (n,)                : int64, line of the program, from 1
-    spindle_on (n,)          : bool
+    spindle_rpm (n,)         : 0 while the spindle is off
     pause_s (n,)             : -1 for a motion; otherwise the mill stops here for that long (G4, or 0 at M3, M5, M2)
     lines_read, bytes_read   : of the program, up to the end of this batch
     ended                    : M2 or M30 has been read
@@ -64,7 +64,7 @@ class MoveBatch:
     is_rapid: np.ndarray
     feed_mm_per_min: Array
     line: np.ndarray
-    spindle_on: np.ndarray
+    spindle_rpm: Array
     pause_s: Array
     lines_read: int
     bytes_read: int
@@ -72,6 +72,10 @@ class MoveBatch:
 
     def __len__(self) -> int:
         return len(self.line)
+
+    @property
+    def spindle_on(self) -> np.ndarray:
+        return self.spindle_rpm > 0.0
 
     @property
     def start_mm(self) -> Array:
@@ -150,7 +154,7 @@ def _read_batch(
     raw = np.frombuffer(buffer, dtype=np.uint8)[start:]
     room = buffer.count(b"\n", start) + 64 + gcode_parse.MOST_CHORDS
     points = np.empty((room + 1, 3))
-    rapid, spindle = np.zeros(room, dtype=np.bool_), np.zeros(room, dtype=np.bool_)
+    rapid, spindle = np.zeros(room, dtype=np.bool_), np.zeros(room)
     feed, pause, line = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
     used, n, code, bad = parse(raw, state, rules, gcode_parse.POWERS, points, rapid, feed, line, spindle, pause)
     end = buffer.find(b"\n", start + bad)
@@ -165,7 +169,7 @@ def _read_batch(
         is_rapid=rapid[:n],
         feed_mm_per_min=feed[:n],
         line=line[:n],
-        spindle_on=spindle[:n],
+        spindle_rpm=spindle[:n],
         pause_s=pause[:n],
         lines_read=int(state[gcode_parse.LINE]),
         bytes_read=bytes_read,

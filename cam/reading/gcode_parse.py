@@ -79,7 +79,7 @@ def record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, paus
     rapid[n] = is_rapid
     feed[n] = state[FEED]
     line[n] = int(state[LINE]) + 1
-    spindle[n] = state[SPINDLE] > 0.0
+    spindle[n] = state[SPEED] if state[SPINDLE] > 0.0 else 0.0
     pause[n] = seconds
     return n + 1
 

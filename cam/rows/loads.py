@@ -24,7 +24,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from cam.materials import SLOT_FEED
+from cam.materials import LEAST_FEED, SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.surface.stock_touch import slot_section_mm2
@@ -33,9 +33,9 @@ LOAD_SHARE = 0.42
 """Stock a minute, as a share of what a slot one step-down deep gives at the whole feed. At half the feed (SLOT_FEED) it
 gives 0.5, and more beside a wall: `camera`, R = 3 mm, 0.5 mm, takes 45 % of that time, at 0.7 of its peak."""
 
-LEAST_FEED, MOST_FEED = 0.2, 2.0
-"""Shares of the feed between which it follows the load: below, edges rub; above, chips would be thicker than in a slot,
-as a row's narrow bite thins them to a half."""
+MOST_FEED = 2.0
+"""Share of the feed up to which it follows the load: above, chips would be thicker than in a slot, as a row's narrow
+bite thins them to a half."""
 
 SLOT_SIDES, SLOT_DEPTH_SHARE = 0.4, 0.3
 """Of a slot's section, on both sides alike, and of the step-down: from there on a cut counts as a slot."""
@@ -70,10 +70,13 @@ def round_feed(feed_mm_per_min: ArrayLike) -> Array:
 
 
 def most_feed_mm_per_min(spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
-    """Return the feed where almost nothing is cut, within the rates of the axes; steep: slope of the path."""
+    """Return the feed where almost nothing is cut, within the rates of the axes and the thickest chip; steep: slope of
+    the path.
+    """
     x, y, z = spec.max_rate_mm_per_min
     climbing = z * np.hypot(1.0, steep) / np.maximum(steep, 1e-9)
-    return round_feed(np.minimum(climbing, min(MOST_FEED * spec.feed_mm_per_min, x, y)))
+    thickest = max(spec.feed_mm_per_min, spec.chip_mm[1] * spec.flutes * spec.spindle_rpm)
+    return round_feed(np.minimum(climbing, min(MOST_FEED * spec.feed_mm_per_min, thickest, x, y)))
 
 
 class Runs(NamedTuple):

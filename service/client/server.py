@@ -33,7 +33,7 @@ from service.http.problems import GRANT
 
 VERSION_HEADER = "Causticmill-Version"
 _CONNECT_S, _READ_S = 5.0, 60.0
-_GRANT_WAIT_S = 2.0
+GRANT_WAIT_S = 2.0
 _AGAIN_S = (0.1, 0.3, 1.0, 2.0)
 _TRY_AGAIN = {502, 503, 504}
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -154,9 +154,9 @@ class ServerClient:
         """Send an order to a mill once, under a fresh grant. FailedError if it was refused or not sent."""
         begun_s = suspend_aware_clock_s()
         granted = self._json("POST", f"/v1/machines/{quote(machine, safe='')}/grants")
-        if suspend_aware_clock_s() - begun_s > _GRANT_WAIT_S:
+        if suspend_aware_clock_s() - begun_s > GRANT_WAIT_S:
             raise FailedError(
-                f"{self.url} took more than {_GRANT_WAIT_S:g} s to grant it: the order was not sent; give it again"
+                f"{self.url} took more than {GRANT_WAIT_S:g} s to grant it: the order was not sent; give it again"
             )
         headers = {GRANT: str(granted["grant"])}
         return self._json("POST", path, json=dict(body or {}), headers=headers)

@@ -135,7 +135,7 @@ def _batch(tips: np.ndarray) -> MoveBatch:
         is_rapid=np.zeros(count, dtype=np.bool_),
         feed_mm_per_min=np.ones(count),
         line=np.arange(1, count + 1),
-        spindle_on=np.ones(count, dtype=np.bool_),
+        spindle_rpm=np.full(count, 1e4),
         pause_s=np.full(count, -1.0),
         lines_read=count,
         bytes_read=count,

@@ -34,7 +34,7 @@ def moves(points, feed=600.0, rapid=False) -> MoveBatch:
         is_rapid=np.full(n, rapid),
         feed_mm_per_min=np.full(n, float(feed)),
         line=np.arange(1, n + 1),
-        spindle_on=np.ones(n, dtype=bool),
+        spindle_rpm=np.full(n, 1e4),
         pause_s=np.full(n, -1.0),
         lines_read=n,
         bytes_read=0,

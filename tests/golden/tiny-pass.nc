@@ -1,5 +1,6 @@
 (pass tiny: ball end mill radius 0.5 mm, pitch 0.5 mm)
 (leaves 0.05 mm, step-down 0.5 mm)
+(tool 2 flutes, 0.0125 mm per tooth)
 (block 4 x 3.5 x 3 mm, margin 1 mm)
 (X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm)
 (zero: G54, with G92 and tool length G43.1 as they were when it was set)
@@ -149,7 +150,6 @@ Y1.3919Z-0.67344
 Y1.6622Z-0.64513
 Y1.9324Z-0.63563
 Y2Z-0.63637
-G0Z5
 G0Z5
 M5
 M2

@@ -47,7 +47,7 @@ def test_cutters_are_added_and_taken_away_by_diameter_and_the_plan_is_asked_for_
     assert lists[0] == TOOLS[1:] and lists[1] is not None
     assert lists[1][-1] == {
         "name": "ball-r1.25", "radius_mm": 1.25, "corner_radius_mm": None,
-        "flute_length_mm": 9, "shank_radius_mm": 1.5875, "stick_out_mm": 30,
+        "flute_length_mm": 9, "shank_radius_mm": 1.5875, "stick_out_mm": 30, "flutes": 2, "number": None,
     }  # fmt: skip
     cutters.get_by_label("Diameter").fill("8")
     cutters.get_by_label("Corner radius").fill("0")

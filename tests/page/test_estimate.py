@@ -368,6 +368,35 @@ def test_what_is_worked_out_exactly_is_not_asked_again(opened: Opened) -> None:
     assert asked == ["100", "100 exactly", "50", "50 exactly"]
 
 
+@pytest.mark.parametrize("changed", [False, True])
+def test_the_exact_estimate_gets_the_picture_that_the_job_gets(opened: Opened, changed: bool) -> None:
+    """Only then do they share a plan. The first look gets a smaller copy of a large picture."""
+    page = open_blank(opened, "new", errors=("status of 422",))
+    sent: dict[str, bytes] = {}
+
+    def answer(route: Route) -> None:
+        exact = route.request.url.endswith("exactly=true")
+        sent["exact" if exact else "coarse"] = parts(route)[1]
+        route.fulfill(json=ESTIMATE_EXAMPLE | {"exact": exact})
+
+    def take(route: Route) -> None:
+        sent["job"] = parts(route)[1]
+        route.fulfill(status=422, json={"status": 422, "detail": "enough for this test"})
+
+    page.route(re.compile("/v1/estimates"), answer)
+    page.route("**/v1/jobs", take)
+    page.evaluate("location.hash = '#/new'")
+    with page.expect_response(re.compile("exactly=true")):
+        choose(page, picture(1200, 1100))
+    if changed:
+        with page.expect_response(re.compile("exactly=true")):
+            page.get_by_role("button", name="Mirror").click()
+    with page.expect_response("**/v1/jobs"):
+        make_it(page).click()
+    assert len(set(sent.values())) == 2
+    assert sent["exact"] == sent["job"]
+
+
 @pytest.mark.thorough
 def test_only_an_older_question_of_the_same_tab_is_ended(opened: Opened) -> None:
     """Each tab has a name of its own, by which the server knows it; a page that is loaded anew is another tab."""

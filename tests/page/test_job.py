@@ -130,7 +130,7 @@ def test_a_pass_in_words_says_nothing_that_is_not_known(modules: Page) -> None:
     assert "every 0.1 mm at 1000 mm/min" in modules.evaluate(script, witness | {"pitch_mm": 0.1})
 
 
-LEFT = """(rows) => import("/page/job/left.js").then(({secondsLeft, leftWords}) => rows.map(([job, live, now]) => {
+LEFT = """(rows) => import("/page/job/progress.js").then(({secondsLeft, leftWords}) => rows.map(([job, live, now]) => {
     const left = secondsLeft(job, live, now);
     return [left.low, left.high, leftWords(left)];
 }))"""

@@ -285,7 +285,7 @@ def test_the_pictures_kept_of_a_run_are_played(opened: Opened) -> None:
 
 
 TIMES = """async ({ passes, runs, now }) => {
-    const { findWholeJob, runTimeWords, wholeJobWords } = await import("/page/machine/whole_job.js");
+    const { findWholeJob, runTimeWords, wholeJobWords } = await import("/page/machine/running.js");
     return runs.map((run) => [runTimeWords(run, now, false), wholeJobWords(findWholeJob(passes, run))]);
 }"""
 

@@ -399,7 +399,7 @@ def test_a_new_job_begins_with_mill_block_and_finish_of_the_last_one(opened: Ope
     page = opened("#/new", errors=("status of 404",))  # the job that this stub has taken is nowhere
     choose(page, picture())
     finish = page.get_by_label("Finished by hand")
-    expect(finish.locator("option:checked")).to_have_text("yes, the way that shows most")  # as a command begins
+    expect(finish.locator("option:checked")).to_have_text("yes, in the best way")  # as a command begins
     fill(page, Thickness_of_the_block="12", Width="33", Distance_to_the_wall="200")
     finish.select_option("felt and compound")
     page.evaluate(TAKES_EVERY_JOB)

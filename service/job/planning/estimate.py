@@ -50,7 +50,7 @@ from service.job.planning.predicted_light import PictureLight, PredictedPicture,
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
 from service.job.spec.cutting import MIN_FLOOR_MM
-from service.job.spec.envelope import require_travel
+from service.job.spec.envelope import require_envelope
 from service.job.spec.lens_task import (
     branch_of,
     explain_blocked_light,
@@ -439,7 +439,8 @@ def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
         )
         yield from SpecError([("stock.thickness_mm", words)], {"stock.thickness_mm": need_mm}).rows()
     try:
-        require_travel(spec, quick.job.machine, depth_mm=quick.form.deepest_mm)
+        lowest_mm = [quick.form.lowest_tip_mm(one.radius_mm) for one in passes]
+        require_envelope(spec, quick.job.machine, depth_mm=quick.form.deepest_mm, lowest_mm=lowest_mm)
         require_flutes(quick.lens, passes)
         check_ball_fit(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
     except SpecError as error:

@@ -7,8 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from math import ceil, inf
+from math import ceil, floor, inf
 
+from cam.checking.envelope import Envelope, Reach
 from cam.duration import Kinematics
 from cam.materials import MATERIALS
 from cam.planning.pass_time import LensForm
@@ -22,6 +23,7 @@ from cam.planning.planner import (
     time_by_lens,
 )
 from cam.planning.shop import Shop
+from cam.tools import Tool
 from machines.profile import MachineProfile
 from optics.heightfield import Array, Heightfield
 from phrases.phrase import Phrase
@@ -38,8 +40,10 @@ from service.job.planning.lenses import FinishDesigns, design_whole, predict_des
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom, measure_rim_room
+from service.job.spec.envelope import envelope_of
 from service.job.spec.finish import BEST
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
+from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob, digits_of, most_removal_mm3_per_min, post_of
 from service.wording import duration
 
@@ -113,22 +117,38 @@ def shop_of(job: ResolvedJob) -> Shop:
     digit_mm = post_of(machine).digits.z_mm
     optics = job.spec.optics
     narrowest_mm = min(optics.width_mm, optics.height_mm)
+    envelope = envelope_of(job.spec, machine)
     return Shop(
-        tools=job.figures.tools,
+        tools=tuple(_clamp_under_head(tool, envelope) for tool in job.figures.tools),
         material=MATERIALS[job.spec.stock.material],
         mill=Kinematics.of(machine),
         spindle_rpm=machine.spindle_rpm,
         step_mm=max(machine.step_mm, digit_mm),
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
         noise_mm=machine.z_noise_mm,
-        margin_mm=job.spec.stock.margin_mm,
+        margin_mm=_free_margin_mm(job.spec, envelope),
         strategies=("raster", "contour") if narrowest_mm >= CONTOUR_FROM_MM else ("raster",),
         collet_mm=inf if machine.collet_mm is None else machine.collet_mm,
         removal_mm3_per_min=most_removal_mm3_per_min(machine, MATERIALS[job.spec.stock.material]),
         digits=digits_of(machine),
         safe_z_mm=machine.safe_z_mm,
         room_mm=min(machine.travel_mm[0] - optics.width_mm, machine.travel_mm[1] - optics.height_mm) / 2,
+        envelope=envelope,
     )
+
+
+def _clamp_under_head(tool: Tool, envelope: Envelope) -> Tool:
+    """Return the tool clamped shorter where the mill's head has no room for all of its length."""
+    reach = Reach(radius_mm=tool.radius_mm, beyond_mm=(0.0, 0.0), lowest_mm=0.0, stick_out_mm=tool.stick_out_mm)
+    base_mm = max(envelope.through_mm, 0.0) if envelope.base_mm is None else envelope.base_mm
+    over_mm = base_mm - replace(envelope, gantry_mm=None).base_range_mm([reach])[1]
+    return tool if over_mm <= 0 else replace(tool, stick_out_mm=max(0.0, floor(tool.stick_out_mm - over_mm)))
+
+
+def _free_margin_mm(spec: JobSpec, envelope: Envelope) -> float:
+    """Return the width of the margin that plans may clear: up to the nearest clamp."""
+    at_rim = Reach(radius_mm=0.0, beyond_mm=(0.0, 0.0), lowest_mm=0.0)
+    return min([spec.stock.margin_mm, *(envelope.distance_mm(at_rim, clamp) for clamp in envelope.clamps)])
 
 
 def _radii(shop: Shop) -> list[float]:

@@ -22,7 +22,7 @@ from service.job.spec.resolve import ResolvedJob, cam_stock_of, digits_of
 
 Side = Literal["front", "back", "left", "right"]
 _SIDES: tuple[Side, ...] = ("front", "back", "left", "right")
-_LEAST_ROW_MM, _MOST_ROW_MM = 4.0, 12.0
+LEAST_ROW_MM, _MOST_ROW_MM = 4.0, 12.0
 _CLAMP_MM = 1.5  # between a clamp and the cutter
 _BESIDE_SLOT_MM = 1.0
 _MOVED_MM = 3.0
@@ -73,7 +73,7 @@ class _Room:
             swept_mm = max(swept_mm, 2 * spec.stock.cut_out.radius_mm + beside_mm + _BESIDE_SLOT_MM)
         outer_mm = min(margin_mm - beside_mm, swept_mm + _MOST_ROW_MM)
         wide_mm = outer_mm - swept_mm
-        if skim_mm >= radius_mm or wide_mm < _LEAST_ROW_MM:
+        if skim_mm >= radius_mm or wide_mm < LEAST_ROW_MM:
             return None
         if (
             skim_mm / 2 > depth_mm * (finish.k0_rad_per_mm * wide_mm / math.pi) ** finish.order

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from cam.checking.envelope import ABOVE_CLAMPS_MM, CLAMP_GRIP_MM, NOSE_CLEARANCE_MM
 from phrases.phrase import Phrase, join
 from service.wording import number
 
-CLAMP_MM = 8.0  # width that a clamp needs
-CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
-_UNDER_RAPIDS_MM = 1.0  # distance of objects on the bed below the rapid moves
+_UNDER_RAPIDS_MM = ABOVE_CLAMPS_MM  # distance of objects on the bed below the rapid moves
 _BESIDE_WITNESS_MM = 8.0  # a ball of 6 mm and its shank
 _JAWS_MM = 5.0  # of the block that a vice needs
 
@@ -59,7 +58,7 @@ class BlockSizes:
     @property
     def has_room_for_clamps(self) -> bool:
         """Whether clamps find room on that ring."""
-        return self.swept_mm is not None and self.ring_mm >= CLAMP_MM
+        return self.swept_mm is not None and self.ring_mm >= CLAMP_GRIP_MM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,9 +84,9 @@ def plan_holding(
     rapid_z_mm : at which rapid moves cross; None if that is not known
     faced      : the whole top is milled, from beside the block
     """
-    under_rapids_mm = CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM
+    under_rapids_mm = NOSE_CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM
     clamped = block is not None and block.has_room_for_clamps
-    clearance_mm = max(CLEARANCE_MM, under_rapids_mm) if clamped else CLEARANCE_MM
+    clearance_mm = max(NOSE_CLEARANCE_MM, under_rapids_mm) if clamped else NOSE_CLEARANCE_MM
     highest_mm = min(clearance_mm, under_rapids_mm)
     sentences: tuple[Phrase, ...]
     if block is None or block.swept_mm is None:
@@ -135,7 +134,7 @@ def _describe_holding(
     block: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
 ) -> Iterator[Phrase]:
     if block.clamps_mm:
-        yield Phrase("The clamps in the drawing are those of stock.clamps: every program was checked against them.")
+        yield Phrase("The clamps in the drawing are those of the job: every program was checked against them.")
     if block.has_room_for_clamps:
         yield Phrase(
             "Around it a ring {ring_mm} mm wide keeps the stock top: clamps stand there and nowhere else (hatched in "
@@ -162,7 +161,7 @@ def _describe_holding(
             "Hold it from below (vacuum, wax or double-sided tape), or in a vice whose jaws stay below Z {jaws_mm} mm",
             jaws_mm=number(lowest_mm - 1, 1),
         )
-    wide_mm = number(block.margin_mm + CLAMP_MM - block.ring_mm, 1)
+    wide_mm = number(block.margin_mm + CLAMP_GRIP_MM - block.ring_mm, 1)
     wider = Phrase(
         "{held}; stock.margin_mm = {margin_mm} leaves a ring that can be clamped.", held=held, margin_mm=wide_mm
     )

@@ -5,9 +5,10 @@ found, in numbers, a row for each question and a column for each pass.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from math import ceil
+from math import ceil, log
 from typing import Any
 
+from cam.materials import MATERIALS
 from cam.posts.dialects import POSTS
 from cam.posts.post import HIGH_PRECISION_WORDS, Post
 from cam.rows.entries import RAMP_DEG
@@ -164,6 +165,7 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
         (Phrase("Extent within the mill's travel"), Phrase("travel of each axis"), _extent),
         (Phrase("Entries, on ramps of {ramp_deg:g}° or in air", ramp_deg=RAMP_DEG), "", _entries),
         (Phrase("Cut climbing, by volume"), "", lambda p: _percent(p, "climb_share")),
+        (Phrase("Cutting time with chips in the material's band"), Phrase("97 %, or a warning"), _chips),
         (Phrase("Cut at the ball's full width"), Phrase("deep ones at half the feed"), _slots),
         (
             Phrase("Along the contour lines (within 15°)"),
@@ -189,6 +191,40 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
         if any(cell is not None for cell in cells):
             rows.append((what, allowed, [MISSING if cell is None else cell for cell in cells]))
     return rows
+
+
+def chip_mm_of(row: Row) -> float | None:
+    """Return the feed per tooth at the pass's feed; None if flutes or speed are not known."""
+    flutes, rpm, feed = row.get("flutes"), row.get("spindle_rpm"), row.get("feed_mm_per_min")
+    return feed / (rpm * flutes) if flutes and rpm and feed else None
+
+
+def describe_bands(material: str, rows: Sequence[Row]) -> list[Phrase]:
+    """Return a sentence for each diameter of cutter: our band of feed per tooth, and those that makers publish for the
+    nearest diameter.
+    """
+    known = MATERIALS.get(material)
+    found = []
+    for radius_mm in sorted({row["radius_mm"] for row in rows if row.get("radius_mm")}) if known else ():
+        assert known is not None
+        least_mm, most_mm = known.start_values(radius_mm).chip_mm
+        ours = Phrase(
+            "Ø {diameter_mm:g} mm: {least_mm:g} to {most_mm:g} mm per tooth",
+            diameter_mm=2 * radius_mm,
+            least_mm=least_mm,
+            most_mm=most_mm,
+        )
+        nearest_mm = min((abs(log(one[1] / 2 / radius_mm)) for one in known.makers), default=0.0)
+        theirs = [
+            Phrase(
+                "{maker} {least_mm:g} to {most_mm:g} at Ø {diameter_mm:g}",
+                maker=maker, diameter_mm=diameter_mm, least_mm=least, most_mm=most,
+            )
+            for maker, diameter_mm, least, most in known.makers
+            if abs(abs(log(diameter_mm / 2 / radius_mm)) - nearest_mm) < 1e-9
+        ]  # fmt: skip
+        found.append(Phrase("{ours} ({theirs})", ours=ours, theirs=join("; ", theirs)) if theirs else ours)
+    return found
 
 
 def flutes_in_words(row: Row) -> str:
@@ -274,6 +310,10 @@ def _extent(row: Row) -> str | None:
     if row.get("checked") != "passed" or not all(len(bounds.get(axis) or ()) == 2 for axis in "xyz"):
         return None
     return " × ".join(number(bounds[axis][1] - bounds[axis][0], 1) for axis in "xyz") + " mm"
+
+
+def _chips(row: Row) -> str | None:
+    return _percent(_part(row, "chips"), "share")
 
 
 def _slots(row: Row) -> str | None:

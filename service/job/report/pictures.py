@@ -154,6 +154,16 @@ PICTURES = (
         caption=Phrase("Passes to choose from: what the wall shows after more or fewer hours. The choice is marked."),
     ),
     ReportPicture(
+        name="envelope.png",
+        part="programs",
+        title="Block and tool under the head",
+        caption=Phrase(
+            "The tool that sticks out farthest, between the table and the head: at its lowest beside the clamps, and "
+            "where rapids cross and programs begin and end."
+        ),
+        shown="page",
+    ),
+    ReportPicture(
         name="toolpath.png",
         part="programs",
         title="Paths of the programs",

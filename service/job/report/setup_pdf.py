@@ -131,8 +131,10 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
         "☐",
         files if first is last else f"{files} to {last.get('file')}",
         f"Ø {number(2 * radius_mm)} mm" if radius_mm else MISSING,
-        f"{kind}, R {number(radius_mm)}" if radius_mm else MISSING,
-        number(row.get("stick_out_mm"), 1, "mm"),
+        f"{kind}, R {number(radius_mm)}" + (f", Z{row['flutes']}" if row.get("flutes") else "")
+        if radius_mm
+        else MISSING,
+        str(row.get("stick_out") or MISSING),
         whole(row.get("spindle_rpm")),
         feeds,
         duration(row.get("time_s")),

@@ -8,10 +8,10 @@ only loads the pictures beside it.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache, reduce
-from math import isfinite, radians, tan
+from math import ceil, floor, isfinite, radians, tan
 from pathlib import PurePath
 from typing import Any
 
@@ -36,6 +36,8 @@ from service.job.report.other_shop import rows_for_another_shop
 from service.job.report.passes import (
     around_sentences,
     check_rows,
+    chip_mm_of,
+    describe_bands,
     explain_zero_before_facing,
     flutes_in_words,
     order_in_words,
@@ -102,9 +104,9 @@ def describe_setup(
     highest_mm = max((_z_bounds(row)[1] for row in programs if _z_bounds(row)), default=None)
     rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
     holding = plan_holding(block, _lows(programs, block), rapid_z_mm, faced=bool(table(spec.get("stock")).get("face")))
+    under_head = table(report.get("envelope"))
     for row in programs:
-        if _z_bounds(row):
-            row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
+        _state_stick_out(row, under_head, holding.clearance_mm)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes, holding.clearance_mm)]
     return {
         "title": _job_name(report) or Phrase("lens"),
@@ -121,6 +123,7 @@ def describe_setup(
         "warnings": warnings,
         "notes": [note for note in _notes(programs) if note not in warnings],
         "around": around_sentences(spec, report),
+        "bands": describe_bands(str(table(spec.get("stock")).get("material")), programs),
         "material": _describe_block(table(spec.get("stock")).get("material")),
         "facing_zero": explain_zero_before_facing(spec),
         "coarse": 0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
@@ -133,6 +136,7 @@ def describe_setup(
         "finishing": make_finishing_card(report),
         "other_shop": rows_for_another_shop(spec, report, frozenset(files)),
         "holding": asdict(holding),
+        "base": list(_describe_base(spec, under_head)),
         "rapid_z_mm": rapid_z_mm,
         "tool_changes": _tool_changes(programs),
         "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
@@ -144,6 +148,51 @@ def describe_setup(
         "pictures": [asdict(one) for one in PICTURES if one.name in files and one.shown in ("page", "sheet")],
         "files": frozenset(files),
     }
+
+
+def _state_stick_out(row: dict[str, Any], under_head: Mapping[str, Any], clearance_mm: float) -> None:
+    """State how far a program's tool sticks out: as the job says, or at least so far."""
+    file = str(row.get("file"))
+    need_mm = clearance_mm - min(_z_bounds(row)[0], 0.0) if _z_bounds(row) else None
+    need_mm = table(under_head.get("stick_out_mm")).get(file, need_mm)
+    row["stick_out_mm"] = need_mm
+    if need_mm is not None:
+        is_stated = file in (under_head.get("stated") or ())
+        shown_mm = number(need_mm if is_stated else ceil(10 * need_mm - 1e-6) / 10, 1, "mm")
+        row["stick_out"] = shown_mm if is_stated else f"≥ {shown_mm}"
+
+
+def _describe_base(spec: Mapping[str, Any], under_head: Mapping[str, Any]) -> Iterator[Phrase]:
+    """Say how high the block lies, and what of the head is a guess."""
+    if not under_head:
+        return
+    (least_mm, most_mm), stated_mm = under_head["base_mm"], table(spec.get("stock")).get("base_mm")
+    collet_mm = under_head["bed_to_collet_mm"]
+    if stated_mm is not None:
+        yield Phrase("The block lies {base_mm:g} mm over the table, as the job says.", base_mm=stated_mm)
+    elif most_mm is not None and least_mm > 0:
+        yield Phrase(
+            "Lay the block {least_mm} to {most_mm} mm over the table (spoil board, sub plate, vice): lower, tools do "
+            "not come down to their cut, or cut into the table; higher, the head has no room above it.",
+            least_mm=number(ceil(10 * least_mm) / 10),
+            most_mm=number(floor(10 * most_mm) / 10),
+        )
+    elif most_mm is not None:
+        yield Phrase(
+            "The block lies on the table, or up to {most_mm} mm over it (spoil board, sub plate, vice).",
+            most_mm=number(floor(10 * most_mm) / 10),
+        )
+    if collet_mm is None:
+        yield Phrase(
+            "How high the collet goes over the table is not known for this mill (machine.bed_to_collet_mm): check that "
+            "block and tools fit under it."
+        )
+    elif "bed_to_collet_mm" in under_head["guesses"]:
+        yield Phrase(
+            "That counts on {collet_mm:g} mm from the table to the collet with the head at its top, which is a guess: "
+            "measure it, and give it as machine.bed_to_collet_mm.",
+            collet_mm=collet_mm,
+        )
 
 
 def _list_walls(files: Collection[str]) -> list[dict[str, Any]]:
@@ -253,7 +302,8 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
         row["shape"] = shape_of(row)
-        row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
+        row["cuts_high"], row["order"] = flutes_in_words(row), order_in_words(row)
+        row["chip_mm"] = chip_mm_of(row)
     return rows
 
 

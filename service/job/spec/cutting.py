@@ -7,6 +7,7 @@ choose them, and they determine the light. Facing and cut-out make the block, in
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from math import dist
@@ -33,6 +34,8 @@ from service.job.spec.section import (
 )
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
+Flutes = Annotated[float, Field(ge=0.01, le=200)]
+StickOut = Annotated[float, Field(ge=0.5, le=300)]
 MOST_CLAMPS = 20
 MIN_FLOOR_MM = 2.0  # least stock under the deepest point: a thinner floor bends and vibrates under the cutter
 FRAME_MM = 1.0
@@ -81,12 +84,21 @@ class PassRow(Section):
     feed_mm_per_min: Annotated[Rate | None, shown("Feed", usual="usual")] = None
     plunge_mm_per_min: Annotated[Rate | None, shown("Plunge", usual="usual")] = None
     spindle_rpm: Annotated[Speed | None, shown("Spindle", usual="usual")] = None
+    flutes: Annotated[Annotated[int, Field(ge=1, le=8)] | None, shown("Flutes", usual="usual")] = None
+    tool_name: Annotated[Annotated[str, Field(min_length=1, max_length=40)] | None, shown("Tool", usual="none")] = None
+    tool_number: Annotated[
+        Annotated[int, Field(ge=1, le=9999)] | None, shown("Tool number", "In the mill's tool table.", usual="none")
+    ] = None
+    tool_stick_out_mm: Annotated[
+        Annotated[float, Field(ge=0.5, le=300)] | None, shown("Stick-out", "From tip to chuck.", usual="not checked")
+    ] = None
     flute_length_mm: Annotated[
         Annotated[float, Field(ge=0.01, le=200)] | None, shown("Flute length", usual="not checked")
     ] = None
     shank_radius_mm: Annotated[
         Annotated[float, Field(ge=0.01, le=50)] | None, shown("Shank radius", usual="not checked")
     ] = None
+    stick_out_mm: Annotated[StickOut | None, shown("Sticks out", usual="as little as it needs")] = None
 
     corner_radius_mm: Annotated[
         Annotated[float, Field(ge=0, le=50), none_or_from(0.01)] | None,
@@ -158,6 +170,7 @@ class FaceSpec(Section):
     """
 
     above_mm: Annotated[float, Field(ge=0.01, le=20)] = 1.0
+    flutes: Annotated[int, Field(ge=1, le=8)] | None = None
     tool: Annotated[str, OneOf({name: {} for name in CUTTERS})] = "flat"
     radius_mm: Radius = 3.0
     shank_radius_mm: Radius | None = None
@@ -187,18 +200,39 @@ class CutOutSpec(Section):
 
     tab_height_mm : from the block's bottom; tab_width_mm: along the outline, at their tops
     through_mm    : how far the cutter goes below the block
+    flute_length_mm : of its edges; left out: the setup sheet states what it needs
     """
 
     radius_mm: Radius = 1.5
     shank_radius_mm: Radius | None = None
+    flute_length_mm: Flutes | None = None
     tabs: Annotated[int, Field(ge=0, le=50)] = 4
     tab_width_mm: Annotated[float, Field(ge=0.1, le=100)] = 4.0
     tab_height_mm: Annotated[float, Field(ge=0.1, le=100)] = 1.5
     through_mm: Annotated[float, Field(ge=0, le=5), none_or_from(0.001)] = 0.0
+    flutes: Annotated[int, Field(ge=1, le=8)] | None = None
     step_down_mm: StepDown | None = None
     feed_mm_per_min: Rate | None = None
     plunge_mm_per_min: Rate | None = None
     spindle_rpm: Speed | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ClampKind:
+    """Clamps as they are sold. height_mm: of their highest part above what they hold"""
+
+    title: str
+    height_mm: float
+
+
+CLAMPS = {
+    # Strap of DIN 6314, washer of DIN 6340, nut of DIN 6330 (1.5 d), and half a diameter of the stud: for M6 10, 3, 9
+    # and 3 mm. [k] from the standards' tables, not looked up again. A plate of 5 mm under a wing nut M6 (DIN 314, 16
+    # mm), as small routers come with, is as high.
+    "strap-m6": ClampKind("straps M6, 25 mm high", 25.0),
+    "strap-m8": ClampKind("straps M8, 32 mm high", 32.0),
+    "strap-m10": ClampKind("straps M10, 39 mm high", 39.0),
+}
 
 
 class ClampSpec(Section):
@@ -218,7 +252,11 @@ class StockSpec(Section):
     haze_percent  : share of the light that the block scatters by more than 2.5 degrees; left out: that of its material
     back_flatness_mm, back_period_mm : distance of the two planes that hold the waves of the face that light enters by,
                     and the length of these waves; left out: taken as flat
-    clamps        : their places, for the check; the setup sheet shows where clamps may stand
+    base_mm       : of what the block lies on, over the table: spoil board, sub plate, vice; left out: what the mill
+                    needs, as the setup sheet says
+    clamping      : clamps of a usual kind, anywhere along the left and the right side: rapids cross over them, and
+                    tools stick out as far as their height asks for; "none": the setup sheet says where which fit
+    clamps        : places of others, for the check; the setup sheet shows where clamps may stand
     step_file     : write the lens for CAD, and state on the setup sheet what another shop must hold
     """
 
@@ -238,6 +276,18 @@ class StockSpec(Section):
         shown("Waves of the back", "Height of the waves of the face that light enters by.", usual="taken as flat"),
     ] = None
     back_period_mm: Annotated[float, Field(ge=1, le=1000), shown("Their length")] = 40.0
+    base_mm: Annotated[
+        Annotated[float, Field(ge=0, le=1000), none_or_from(0.01)] | None,
+        shown("Height under the block", "Spoil board, sub plate or vice, over the table.", usual="as the mill needs"),
+    ] = None
+    clamping: Annotated[
+        Literal["none", "strap-m6", "strap-m8", "strap-m10"],
+        shown(
+            "Clamps on top",
+            "Along the left and the right side: rapids cross over them.",
+            choices={"none": "none named", **{name: one.title for name, one in CLAMPS.items()}},
+        ),
+    ] = "none"
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
     clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None
@@ -329,6 +379,19 @@ class MachineSpec(Section):
     planner_blocks: Annotated[Annotated[int, Field(ge=1, le=100_000)] | None, _shown("Blocks planned ahead")] = None
     lines_per_s: Annotated[Annotated[float, _as_in_profile("lines_per_s")] | None, _shown("Lines per second")] = None
     safe_z_mm: Annotated[Annotated[float, Field(ge=0.5, le=200)] | None, _shown("Safe height")] = None
+    top_z_mm: Annotated[
+        Annotated[float, _as_in_profile("top_z_mm"), none_or_from(0.001)] | None,
+        _shown("Machine Z of the raised head", "Programs begin and end there."),
+    ] = None
+    bed_to_collet_mm: Annotated[
+        Annotated[float, _as_in_profile("bed_to_collet_mm")] | None,
+        _shown("Table to collet", "With the head at the top of its travel."),
+    ] = None
+    gantry_mm: Annotated[Annotated[float, _as_in_profile("gantry_mm")] | None, _shown("Table to gantry")] = None
+    table_mm: Annotated[
+        Annotated[list[Annotated[float, _as_in_profile("table_mm")]], Field(min_length=2, max_length=2)] | None,
+        shown("Table", names=("X", "Y")),
+    ] = None
     spindle_rpm: Annotated[Pair | None, shown("Spindle", names=("slowest", "fastest"))] = None
     collet_mm: Annotated[
         Annotated[float, _as_in_profile("collet_mm")] | None, _shown("Collet", "The thickest shank that it takes.")

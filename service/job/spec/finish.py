@@ -27,7 +27,7 @@ from service.job.spec.section import Section, none_or_from, shown, unknown_name
 NONE, BEST = "none", "best"
 _PROCESSES = {
     NONE: "no: as the mill leaves it",
-    BEST: "yes, the way that shows most",
+    BEST: "yes, in the best way",
     **{process.name: process.offered for process in built_in_processes().values() if process.offered},
 }
 

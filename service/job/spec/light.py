@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
-from cam.materials import Material
+from cam.materials import USUAL_INDEX, Material
 from phrases.phrase import Phrase
 from service.job.spec.section import OneOf, RuleError, Section, none_or_from, shown
 from service.wording import number
@@ -137,7 +137,11 @@ def spectrum_of(light: LightSpec) -> Spectrum:
 
 
 def index_of(material: Material, light: LightSpec) -> float:
-    """Return the material's index for the mean colour of the light."""
+    """Return the material's index for the mean colour of the light; of a metal the usual one, which a mirror does not
+    use.
+    """
+    if material.refractive_index is None:
+        return USUAL_INDEX
     return round(material.refractive_index + (material.dispersion or 0.0) * spectrum_of(light).above_white, 4)
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from cam.materials import MATERIALS
 from phrases.phrase import Phrase
 from service.job.spec.cutting import MachineSpec, PassRow, StockSpec, require_cut_out
 from service.job.spec.finish import FinishSpec
@@ -205,6 +206,18 @@ class JobSpec(Section):
             margin_mm=self.stock.margin_mm,
             thickness_mm=self.stock.thickness_mm,
         )
+        return self
+
+    @model_validator(mode="after")
+    def _lets_light_through(self) -> Self:
+        material = MATERIALS[self.stock.material]
+        if material.refractive_index is None and self.optics.surface == "lens":
+            raise RuleError(
+                Phrase(
+                    "{material} lets no light through; allowed: with optics.surface = 'mirror'", material=material.label
+                ),
+                at="stock.material",
+            )
         return self
 
     @property

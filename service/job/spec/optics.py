@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from cam.materials import PMMA
+from cam.materials import USUAL_INDEX
 from phrases.phrase import Phrase
 from service.job.spec.light import LIGHT_WORDS, LightSpec
 from service.job.spec.section import Distance, Length, RuleError, Section, none_or_from, shown
@@ -119,7 +119,7 @@ class OpticsSpec(Section):
         float,
         Field(ge=1.05, le=3.0),
         shown("Refractive index", "How strongly the material bends light: acrylic 1.49."),
-    ] = PMMA.refractive_index
+    ] = USUAL_INDEX
     screen_width_mm: Annotated[
         Screen | None, shown("Picture width on the wall", card="lens", usual="like the lens")
     ] = None

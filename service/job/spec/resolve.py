@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from math import ceil, inf
 from typing import Any, cast
@@ -17,17 +17,25 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from cam.around.specs import CutOut, Facing
+from cam.checking.envelope import Reach
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
-from cam.passes import PRESETS, Clamp, PassSpec, Stock
+from cam.passes import PRESETS, PassSpec, Stock
 from cam.posts.dialects import POSTS, Dialect, find_unsupported
 from cam.posts.post import MM_PER_INCH, Coolant, Digits, HighPrecision, ProgramSetup
 from cam.tools import Tool
-from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile, replace_figures
 from phrases.phrase import Phrase
 from service.errors import FailedError, SpecError
 from service.job.spec.cutting import CutOutSpec, FaceSpec, MachineSpec, StockSpec
-from service.job.spec.envelope import find_beyond_travel
+from service.job.spec.envelope import (
+    find_beyond_travel,
+    find_misfits,
+    find_unstated,
+    list_clamps,
+    list_reaches,
+    safe_z_over_clamps_mm,
+)
 from service.job.spec.finish import FinishSpec, find_processes, resolve_finish
 from service.job.spec.finish_library import Process
 from service.job.spec.light import index_of
@@ -40,7 +48,7 @@ _PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")
 _ROUNDING = 0.01  # of step-downs and feeds
-_CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
+_CHOSEN = {"pitch_mm", "flutes", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,22 +100,34 @@ class ResolvedJob:
                 own[key] = tuple(value) if isinstance(value, list) else value
         if spec.finish.finishes and spec.machine.whole_steps is None:
             own["whole_steps"] = True  # a finish removes errors that alternate from row to row, not the control's
-        machine = replace(self.figures.profile, **own)
+        own.setdefault("safe_z_mm", safe_z_over_clamps_mm(spec, self.figures.profile.safe_z_mm))
+        machine = replace(self.figures.profile, **_changed_figures(self.figures.profile, own))
         if machine.units == "inch":  # rapids travel at whole tenths of an inch, which every digit can state
             machine = replace(machine, safe_z_mm=ceil(10 * machine.safe_z_mm / MM_PER_INCH) / 10 * MM_PER_INCH)
         unsupported = find_unsupported(
             machine.dialect, setup_of(machine, tool=1), units=machine.units, number_every=machine.number_every
         )
-        if problems := [
+        problems = [
             (f"machine.{key}", Phrase("{value} is not allowed; allowed: {allowed}", value=value, allowed=allowed))
             for key, value, allowed in unsupported
-        ]:
+        ]
+        if spec.machine.top_z_mm is not None and not machine.homing:
+            words = Phrase("{value:g} is unknown to a mill without homing; allowed: left out", value=machine.top_z_mm)
+            problems.append(("machine.top_z_mm", words))
+        if problems:
             raise SpecError(problems)
         return machine
 
     def with_spec(self, spec: JobSpec) -> ResolvedJob:
         """Return the same figures for another spec that names the same mill, tools and processes."""
         return replace(self, spec=spec)
+
+
+def _changed_figures(profile: MachineProfile, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the job's own figures of the mill, with what does not hold beside them."""
+    base = {field.name: getattr(profile, field.name) for field in fields(profile)}
+    changed = replace_figures(base, own)
+    return {key: value for key, value in changed.items() if value is not base[key]}
 
 
 def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
@@ -172,7 +192,11 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
     """
     rows = []
     for spec in PRESETS.get(preset, ()):
-        row = {key: value for key, value in asdict(spec).items() if not key.endswith(("_per_min", "_rpm"))}
+        row = {
+            key: value
+            for key, value in asdict(spec).items()
+            if key in PassRow.model_fields and key != "flutes" and not key.endswith(("_per_min", "_rpm"))
+        }
         rows.append({**row, "name": "finish" if spec.finishes else "rough"})
     return rows
 
@@ -192,7 +216,13 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += [*_beyond_the_mill(tool, machine, f"stock.{name}"), *_unheld(tool, machine, f"stock.{name}")]
-    beyond = list(find_beyond_travel(spec, machine, _radii_mm(job)))
+    problems += find_unstated(machine)
+    radii = _radii_mm(job)
+    reaches = list_reaches(spec, depth_mm=0.0)
+    if spec.to_be_planned:  # the least that any plan needs
+        least = Reach(radius_mm=radii[0], beyond_mm=(radii[0],) * 2, lowest_mm=-spec.stock.skim_mm, flute_length_mm=0.0)
+        reaches["passes"] = least
+    beyond = [*find_beyond_travel(spec, machine, radii), *find_misfits(spec, machine, reaches)]
     problems += [problem for problem, _ in beyond]
     if problems:
         raise SpecError(problems, {key: use for (key, _), use in beyond if use is not None})
@@ -229,7 +259,8 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
     spec, machine, material = job.spec, job.machine, MATERIALS[job.spec.stock.material]
     rows = []
     for row in spec.passes:
-        for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it
+        speeds = ("spindle_rpm", "feed_mm_per_min", "plunge_mm_per_min", "step_down_mm")
+        for keys in (speeds, speeds[1:], speeds[:1], ("flutes",)):  # each of them follows from the others
             chosen = _fill_row(row.model_copy(update=dict.fromkeys(keys)), machine, material)
             same = [key for key in keys if getattr(chosen, key) == getattr(row, key)]
             row = row.model_copy(update=dict.fromkeys(same))
@@ -272,7 +303,11 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
     """Return the passes in the form of the CAM package."""
-    return tuple(PassSpec(**row.model_dump()) for row in spec.passes)
+    material = MATERIALS[spec.stock.material]
+    return tuple(
+        PassSpec(**row.model_dump(exclude_none=True), chip_mm=material.start_values(row.radius_mm).chip_mm)
+        for row in spec.passes
+    )
 
 
 def cam_stock_of(spec: JobSpec) -> Stock:
@@ -282,7 +317,7 @@ def cam_stock_of(spec: JobSpec) -> Stock:
         height_mm=spec.optics.height_mm,
         thickness_mm=spec.stock.thickness_mm,
         margin_mm=spec.stock.margin_mm,
-        clamps=tuple(Clamp(**clamp.model_dump()) for clamp in spec.stock.clamps or ()),
+        clamps=list_clamps(spec),
     )
 
 
@@ -307,7 +342,11 @@ def facing_task_of(spec: JobSpec) -> Facing | None:
 
 def cut_out_of(spec: JobSpec) -> CutOut | None:
     """Return the cut-out of the lens in the form of the CAM package; None if there is none."""
-    return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm"}))
+    return (
+        None
+        if spec.stock.cut_out is None
+        else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm", "flute_length_mm", "flutes"}))
+    )
 
 
 def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
@@ -360,17 +399,23 @@ def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[Phrase]:
             )
 
 
-def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, float]:
+def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, Any]:
+    """Return flutes, feeds, speed and step-down. The feed follows the flutes and the fastest speed, or the one given;
+    then a speed that is not given follows the feed, so that chips are neither too thin nor too thick.
+    """
     start = material.start_values(row.radius_mm)
-    spindle = row.spindle_rpm
-    if spindle is None:
-        spindle = min(max(float(start.spindle_rpm), machine.spindle_rpm[0]), machine.spindle_rpm[1])
-    slower = min(1.0, spindle / start.spindle_rpm)
-    feed = min(feed_share * start.feed_mm_per_min * slower, *machine.max_rate_mm_per_min[:2])
-    plunge = min(start.plunge_mm_per_min * slower, machine.max_rate_mm_per_min[2])
+    flutes = row.flutes or start.flutes
+    fastest = row.spindle_rpm or min(max(float(start.spindle_rpm), machine.spindle_rpm[0]), machine.spindle_rpm[1])
+    part = min(1.0, fastest / start.spindle_rpm) * flutes / start.flutes
+    feed = min(feed_share * start.feed_mm_per_min * part, *machine.max_rate_mm_per_min[:2])
+    feed = row.feed_mm_per_min or max(1.0, float(round(feed)))
+    plunge = min(start.plunge_mm_per_min * part, machine.max_rate_mm_per_min[2], feed)
+    steady = not isinstance(row, PassRow) or row.stock_to_leave_mm == 0
     return {
-        "spindle_rpm": spindle,
-        "feed_mm_per_min": row.feed_mm_per_min or max(1.0, float(round(feed))),
+        "flutes": flutes,
+        "spindle_rpm": row.spindle_rpm
+        or start.choose_rpm(feed, flutes, finishes=steady, spindle_rpm=machine.spindle_rpm),
+        "feed_mm_per_min": feed,
         "plunge_mm_per_min": row.plunge_mm_per_min or max(1.0, float(round(plunge))),
         "step_down_mm": row.step_down_mm or start.step_down_mm,
     }

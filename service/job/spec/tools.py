@@ -33,6 +33,7 @@ _VALUES = Rules(
         "max_rpm": number(100, 200_000, "rpm"),
         "cost_class": whole(1, 3),
         "corner_radius_mm": number(0, 25, "mm"),
+        "number": whole(1, 9999),
     }
 )
 
@@ -126,15 +127,26 @@ def _list_limits(tool: Tool) -> tuple[tuple[str, bool, Phrase], ...]:
 
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
     """Return the library as lines of a table."""
-    head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST", "CORNER")
-    rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
+    head = (
+        "NAME",
+        "RADIUS",
+        "FLUTES",
+        "FLUTE LENGTH",
+        "SHANK RADIUS",
+        "STICK-OUT",
+        "MOST RPM",
+        "COST",
+        "CORNER",
+        "NUMBER",
+    )
+    rows = [head, *(tuple(_cell(field.name, getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
     own = find_own_file(_NAME)
     where = f"your own, in place of these: {own}" if own is not None else "your own: set CAUSTICMILL_CONFIG_DIR"
     origin = "built in" if path == BUILT_IN else str(path)
     return [*align(rows), "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]
 
 
-def _cell(value: object) -> str:
+def _cell(key: str, value: object) -> str:
     if value is None:
-        return "ball"
+        return "ball" if key == "corner_radius_mm" else "-"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -18,8 +18,17 @@ from machines.preflight.preflight import MillLimits, limits_of
 from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import files as job_files
-from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
+from service.job.files import (
+    ENVELOPE,
+    TOOLPATH,
+    files_of_pass,
+    names_of_pass,
+    path_name,
+    programs_in_order,
+    read_chunks,
+)
 from service.job.page_data.path import PathDrawing
+from service.job.report.envelope import describe_envelope
 from service.job.report.figures.path_sample import ContourSample, PathSample
 from service.job.spec.finish_library import instruct_finishing
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal
@@ -41,7 +50,20 @@ def run_final_check(context: StageContext) -> None:
         for number, (name, sha256) in enumerate(files):
             for warning in _warnings(context.folder / name, sha256, limits, _part(on_progress, number, len(files))):
                 context.note("passes", Phrase("{file}: {warning}", file=name, warning=warning))
+    _draw_envelope(context)
     _draw(context, [[context.folder / name for name in names_of_pass(row)] for row in rows])
+
+
+def _draw_envelope(context: StageContext) -> None:
+    """Put table and head into the report, and draw them with the tool that sticks out farthest."""
+    from service.job.report.figures.envelope import envelope_png  # its dependencies are slow to import
+
+    figures, envelope, reaches = describe_envelope(context.spec, context.machine, context.so_far)
+    context.report["envelope"] = figures
+    file = max(reaches, key=lambda name: figures["stick_out_mm"][name])
+    base_mm = figures["base_mm"][0] if envelope.base_mm is None else envelope.base_mm
+    picture = envelope_png(envelope, reaches[file], file=file, machine=context.machine.name, base_mm=base_mm)
+    context.save(ENVELOPE, picture)
 
 
 def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:

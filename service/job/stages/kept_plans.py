@@ -45,7 +45,7 @@ from service.job.stages.table import stage_key
 from service.processes.files import forget_oldest, make_private
 
 _STAGE = "passes"
-_KEPT_BYTES = 200_000_000  # of all plans; one of a 512 x 512 picture takes 3 MB
+KEPT_BYTES = 200_000_000  # of all plans; one of a 512 x 512 picture takes 3 MB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,7 +187,7 @@ def _keep(path: Path, made: MadePlan) -> bytes:
     with suppress(OSError, FailedError):
         make_private(path.parent)
         write_bytes(path, npz_bytes(kept))
-        forget_oldest(path.parent, _KEPT_BYTES)
+        forget_oldest(path.parent, KEPT_BYTES)
     return picture
 
 

@@ -17,6 +17,7 @@ from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
+from cam.planning.pass_time import LensForm
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
@@ -38,7 +39,7 @@ from service.job.files import (
 )
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
-from service.job.spec.envelope import require_travel
+from service.job.spec.envelope import require_envelope
 from service.job.spec.resolve import (
     ResolvedJob,
     cam_passes_of,
@@ -54,6 +55,8 @@ from service.wording import duration
 
 Check = TypeVar("Check", PassCheck, AroundCheck)
 
+CHIPS_WITHIN = 0.97
+"""Share of the cutting time whose chips must be within the material's band; less is worth a warning."""
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
@@ -78,7 +81,11 @@ def run_pass(context: StageContext) -> None:
     rest_follows = any(later.where == "rest" for later in context.spec.passes[context.number :])
     notes = () if rest_follows else verdict.notes  # the rest pass removes what is left here
     of_finish = (*notes, *_of_coarse_steps(context.job, spec), *_of_parts(written)) if spec.finishes else ()
-    for sentence in (*of_finish, *_of_starving(context.machine, spec, verdict)):
+    for sentence in (
+        *of_finish,
+        *_of_starving(context.machine, spec, verdict),
+        *_of_chips(context.machine, spec, verdict),
+    ):
         context.note("passes", Phrase("{file}: {sentence}", file=written[0].file, sentence=sentence))
     row = {
         "file": written[0].file,
@@ -97,7 +104,9 @@ def require_millable(context: StageContext, heightfield: Heightfield) -> None:
     """Check everything about the balls of all passes and the travel that can be known before the first block."""
     passes = cam_passes_of(context.spec)
     with context.watch.stage("fit"):
-        require_travel(context.spec, context.machine, depth_mm=-float(heightfield.z_mm.min()))
+        form, depth_mm = LensForm.of(heightfield), -float(heightfield.z_mm.min())
+        lowest_mm = [form.lowest_tip_mm(one.radius_mm) for one in passes]
+        require_envelope(context.spec, context.machine, depth_mm=depth_mm, lowest_mm=lowest_mm)
         require_flutes(heightfield, passes)
         unfit = check_ball_fit(measure_lens(heightfield), passes, shaped_for_mm=context.spec.lens_radius_mm)
         if unfit:
@@ -195,6 +204,44 @@ def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) ->
         whole=duration(verdict.time_s),
         need_per_s=verdict.lines / moving_s,
     )
+
+
+def _of_chips(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
+    """Yield how much of the time chips are thinner or thicker than the material's band, where, and what helps."""
+    chips = verdict.chips
+    if chips is None or chips.share >= CHIPS_WITHIN:
+        return
+    (below_s, _, above_s), whole_s = chips.asked_s, sum(chips.asked_s)
+    least_mm, most_mm = spec.chip_mm
+    if below_s >= above_s:
+        rpm = spec.spindle_rpm * chips.thinnest_mm / least_mm
+        yield Phrase(
+            "chips are too thin for {percent:.0f} % of the cutting time: edges rub and heat ({thin_um:.1f} µm per "
+            "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; longest in line "
+            "{line} at X{x_mm:.2f} Y{y_mm:.2f}); it takes {rpm:.0f} rpm (the spindle begins at {slowest_rpm:g}), "
+            "fewer flutes, or a higher feed",
+            percent=100 * below_s / whole_s,
+            thin_um=1000 * chips.thinnest_mm,
+            flutes=spec.flutes,
+            spindle_rpm=spec.spindle_rpm,
+            least_um=1000 * least_mm,
+            line=chips.line,
+            x_mm=chips.x_mm,
+            y_mm=chips.y_mm,
+            rpm=rpm,
+            slowest_rpm=machine.spindle_rpm[0],
+        )
+    else:
+        yield Phrase(
+            "chips are too thick for {percent:.0f} % of the cutting time: edges may break (the band ends at "
+            "{most_um:g} µm per tooth, with {flutes} flutes at {spindle_rpm:g} rpm F{most_mm_per_min:.0f}); lower the "
+            "feed, or turn faster",
+            percent=100 * above_s / whole_s,
+            most_um=1000 * most_mm,
+            flutes=spec.flutes,
+            spindle_rpm=spec.spindle_rpm,
+            most_mm_per_min=most_mm * spec.flutes * spec.spindle_rpm,
+        )
 
 
 def part_limits_of(machine: MachineProfile) -> PartLimits:

@@ -28,7 +28,13 @@ from service.job.spec.resolve import ResolvedJob, number_tools, tool_key, with_p
 from service.job.stages.order import FileRef, merge_notes, merge_reports
 from service.processes.source_tree import state_of_sources
 
-_BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm", "stock.clamps")
+_BLOCK = (
+    "optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm", "stock.clamps", "stock.clamping",
+)  # fmt: skip
+_UNDER_HEAD = (
+    "stock.base_mm", "stock.skim_mm", "stock.face", "stock.cut_out", "machine.trace_outline",
+    *(f"machine.{name}" for name in ("bed_to_collet_mm", "table_mm", "gantry_mm", "nose_mm", "guesses")),
+)  # fmt: skip
 _BENCH = (
     "optics.width_mm", "optics.height_mm", "screen_mm", "optics.screen_shift_x_mm", "optics.screen_shift_y_mm",
     "optics.throw_mm", "optics.refractive_index", "optics.surface", "optics.outline", "optics.light", "light_path_mm",
@@ -147,7 +153,7 @@ _PASS = Stage(
     name="pass-*",
     function="service.job.stages.programs:run_pass",
     reads=("heightfield.npz",),
-    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS),
+    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS, "stock.material", "machine.spindle_rpm"),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
 )
 _AROUND = "service.job.stages.around"
@@ -200,7 +206,7 @@ _AFTER = (
         name="check",
         function="service.job.stages.check:run_final_check",
         reads=_ALL_PROGRAMS,
-        spec=("passes", "machine", "optics.outline", "stock.material", *_BLOCK),
+        spec=("passes", "machine", "optics.outline", "stock.material", *_BLOCK, *_UNDER_HEAD),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(
@@ -265,10 +271,11 @@ def _pass(number: int) -> Stage:
     """
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
-        tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
+        tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm", "stick_out_mm")
         fit = (*(f"passes.*.{key}" for key in (*tool, "stock_to_leave_mm", "step_down_mm")), "optics.min_radius_mm")
         reads = (*_PASS.reads, ".stock-0.npz")
-        return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit, "faced", "own_beginning"), reads=reads)
+        spec = (*own, *fit, *_UNDER_HEAD, "faced", "own_beginning")
+        return replace(_PASS, name="pass-1", number=1, spec=spec, reads=reads)
     reads = (*_PASS.reads, f".stock-{number - 1}.npz")
     return replace(_PASS, name=f"pass-{number}", number=number, spec=own, reads=reads)
 

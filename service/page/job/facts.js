@@ -5,7 +5,7 @@ import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
 import { fold, unfold } from "./fold.js";
 import { expertFigures, expertSides, headlines, lightSentence, mainCause } from "./figures.js";
-import { predictedLikeness } from "./prediction.js";
+import { predictedLikeness } from "./eye_words.js";
 
 /** {node, update(job)} */
 export function factsPart() {

@@ -1,7 +1,7 @@
 /** Name and state of a job, its actions, and the next step after a failure. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
-import { confirm, toast } from "../lib/dialog.js";
+import { confirm, open, toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
 import { isGoing, shape, stateMark } from "../lib/state.js";
 import { ago, jobName, sentence } from "../lib/words.js";
@@ -104,8 +104,22 @@ function noticeOf(job) {
 /** Lets a person choose a finished job for comparison with this one. */
 async function chooseOther(job, app) {
   await runAndReport(async () => {
-    const { openJobs } = await import("./choose_job.js");
     const other = await openJobs(job);
     if (other) app.go(`#/compare/${job.id}/${other}`);
   });
+}
+
+/** Resolves with the id of the chosen job, or null. */
+async function openJobs(job) {
+  const { jobs } = await api.get("/v1/jobs?state=succeeded&limit=50");
+  const others = jobs.filter(({ id }) => id !== job.id);
+  const choice = (other, close) => {
+    const when = h("span", { class: "dim" }, ago(other.ended_at ?? other.created_at, api.now()));
+    return h("li", {}, h("button", { type: "button", onclick: () => close(other.id) }, jobName(other), " ", when));
+  };
+  const body = (close) =>
+    others.length
+      ? h("ul", { class: "choose-jobs" }, others.map((other) => choice(other, close)))
+      : h("p", {}, t("There is no other finished job yet."));
+  return open({ title: t`Compare ${jobName(job)} with`, body, actions: [{ words: t("Cancel"), value: null }] });
 }

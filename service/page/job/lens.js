@@ -1,16 +1,14 @@
 /** The lens as a surface: a body that turns, and a map of heights to read off. */
 import { api } from "../lib/api.js";
-import { h, write } from "../lib/dom.js";
+import { h, whenSeen, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mm } from "../lib/words.js";
 import { surfaceOf } from "./drawing_file.js";
 import { screenOf } from "./figures.js";
 import { fold } from "./fold.js";
-import { heightPicture } from "./height_map.js";
 import { lensPicture } from "./lens_gl.js";
 import { lensStage } from "./lens_stage.js";
-import { extremes, heightAt, heightColour } from "./surface.js";
-import { whenSeen } from "../lib/when_seen.js";
+import { extremes, heightAt, heightColour, heightPicture } from "./surface.js";
 
 const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"]; // what the wall will show, as far as it is known
 

@@ -1,6 +1,6 @@
 /** Live light: computes the wall's picture again while somebody moves wall, block and lamp. */
 import { api } from "../lib/api.js";
-import { freshId, h, replace, write } from "../lib/dom.js";
+import { freshId, h, replace, whenSeen, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mm } from "../lib/words.js";
 import { lightOf } from "./drawing_file.js";
@@ -8,7 +8,6 @@ import { focusSentence, isSharpened } from "./figures.js";
 import { fold } from "./fold.js";
 import { gestures } from "./gestures.js";
 import { beamCount, beamsOf, lightPicture, settingOf } from "./light_gl.js";
-import { whenSeen } from "../lib/when_seen.js";
 
 const DESIGNED = "light.bin";
 const SURFACES = [

@@ -1,12 +1,11 @@
 /** The tool path of each pass: drawn whole, looked at closely, and played through in time. */
 import { api } from "../lib/api.js";
-import { h, replace, write } from "../lib/dom.js";
+import { h, replace, whenSeen, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { bytes, hours, mm, passName } from "../lib/words.js";
 import { fold } from "./fold.js";
 import { openPath } from "./path_file.js";
 import { pathView } from "./path_view.js";
-import { whenSeen } from "../lib/when_seen.js";
 
 const STEPS = 10_000;
 const LABEL = t("Tool path from above. Arrow keys move it, plus and minus zoom, 0 shows all.");

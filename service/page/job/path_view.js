@@ -6,12 +6,11 @@
  * level of the file is chosen whose tolerance cannot be seen, those of its chunks are fetched that meet the frame, and
  * they take the place of what was shown.
  */
-import { h } from "../lib/dom.js";
+import { h, svg } from "../lib/dom.js";
 import { gestures } from "./gestures.js";
 import { plainPathPicture } from "./path_2d.js";
 import { chunksIn } from "./path_file.js";
 import { pathPicture } from "./path_gl.js";
-import { pathOverlay } from "./path_overlay.js";
 
 const OVERSIZE = 1.5;
 const SEEN_PX = 1; // a tolerance below so many device pixels cannot be seen
@@ -219,4 +218,38 @@ function coloursOf(node) {
   const style = getComputedStyle(node);
   const share = (name) => style.getPropertyValue(`--path-${name}`).match(/[\d.]+/g).slice(0, 3).map((part) => Number(part) / 255);
   return { deep: share("deep"), high: share("high"), coming: share("coming"), rapid: share("rapid") };
+}
+
+const ROUND = [1, 2, 5];
+
+/** {node, place(camera, {width, height}, outline [[x, y]..] mm, tool {x, y} | null, radius mm)} */
+export function pathOverlay() {
+  const lens = svg("polygon", { class: "path-lens" });
+  const ball = svg("circle", { class: "path-tool" }), tip = svg("circle", { class: "path-tip", r: 3.5 });
+  const bar = svg("path", { class: "path-scale" }), words = svg("text", { class: "path-scale-words" });
+  const node = svg("svg", { class: "path-overlay", "aria-hidden": "true" }, lens, ball, tip, bar, words);
+
+  function place(camera, { width, height }, outline, tool, radius) {
+    const px = (x) => width / 2 + (x - camera.x) * camera.scale, py = (y) => height / 2 - (y - camera.y) * camera.scale;
+    lens.setAttribute("points", (outline ?? []).map(([x, y]) => `${px(x).toFixed(1)},${py(y).toFixed(1)}`).join(" "));
+    for (const mark of [ball, tip]) {
+      mark.style.display = tool ? "" : "none";
+      if (!tool) continue;
+      mark.setAttribute("cx", px(tool.x).toFixed(1));
+      mark.setAttribute("cy", py(tool.y).toFixed(1));
+    }
+    ball.setAttribute("r", Math.max(0, radius * camera.scale).toFixed(1));
+    const length = roundLength(Math.min(120, width / 4) / camera.scale), reach = length * camera.scale;
+    bar.setAttribute("d", `M12 ${height - 20}v6h${reach.toFixed(1)}v-6`);
+    words.setAttribute("x", 12 + reach / 2);
+    words.setAttribute("y", height - 20);
+    words.textContent = length >= 0.1 ? `${+length.toFixed(1)} mm` : `${+(length * 1000).toPrecision(1)} µm`;
+  }
+  return { node, place };
+}
+
+/** The longest of 1, 2, 5, 10, .. that is not longer. */
+export function roundLength(length) {
+  const decade = 10 ** Math.floor(Math.log10(length));
+  return decade * ROUND.findLast((each) => each * decade <= length * 1.0001);
 }

@@ -3,12 +3,11 @@
  * service/job/report/pictures.py lists them and their titles.
  */
 import { api } from "../lib/api.js";
-import { freshId, h, replace } from "../lib/dom.js";
+import { freshId, h, replace, whenSeen } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
 import { fold } from "./fold.js";
 import { PICTURES } from "./report_pictures.js";
-import { whenSeen } from "../lib/when_seen.js";
 import { wipe } from "./wipe.js";
 
 const shownAs = (where) =>

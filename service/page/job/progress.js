@@ -1,11 +1,13 @@
-/** How far a job is, stage by stage. */
+/**
+ * How far a job is, stage by stage, and how long it will take to its end. Every stage has a time that it usually takes; how much
+ * slower or faster this computer is today is seen in the stages that are done, and in the one at work by its own share.
+ */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { isGoing, mark } from "../lib/state.js";
 import { capital, hours, percent, percentUnderWay } from "../lib/words.js";
 import { stageWords } from "./figures.js";
-import { leftWords, secondsLeft } from "./left.js";
 
 const LOOKS = {
   waiting: ["wait", t("waiting")],
@@ -73,4 +75,61 @@ function sentence(job, share, live, link) {
   const took = job.started_at && job.ended_at ? hours((Date.parse(job.ended_at) - Date.parse(job.started_at)) / 1000) : "";
   if (job.state === "succeeded") return took ? t`Worked out in ${took}.` : t("Worked out.");
   return t`Stopped at ${percent(share)}${took ? t` after ${took}` : ""}.`;
+}
+
+const TRUST_S = 3; // of measured work, from which on the measure counts more than the usual
+const TELLING = 0.05; // share of a stage from which on its own pace says something
+const EITHER_WAY = 2; // what a stage may take longer than foreseen
+const UNPLANNED = 3; // the same while the passes are still to be planned
+const UNMEASURED = 4; // and while this computer's pace is not known: its first job compiles what all others find ready
+const MEASURED_S = 2; // of usual work done here, from which on the pace is known
+const SOME_MINUTES_S = 300;
+
+/**
+ * {low, high, measured}: seconds that are left of a running job, never less than is certain, and whether they are by the
+ * pace of this computer; live: {stage, share} or null.
+ */
+export function secondsLeft(job, live, now) {
+  const pace = paceOf(job.stages);
+  const planned = !job.stages.some(({ name, state }) => name === "passes" && state !== "committed" && state !== "reused");
+  let low = 0, known = 0;
+  for (const stage of job.stages) {
+    const usual = pace * stage.usual_s, share = live?.stage === stage.name ? live.share : 0;
+    if (stage.state === "running") low += ofRunning(stage, usual, share, now);
+    else if (stage.state === "waiting" || stage.state === "interrupted") low += usual;
+    if (isPaced(stage)) known += stage.usual_s * ({ running: share, committed: 1, reused: 1 }[stage.state] ?? 0);
+  }
+  const measured = known >= MEASURED_S;
+  return { low, high: low * (!measured ? UNMEASURED : planned ? EITHER_WAY : UNPLANNED), measured };
+}
+
+/** "about 3 min left", "3 to 5 min left", "less than a minute left"; "some minutes left at most" of a pace not known. */
+export function leftWords({ low, high, measured }) {
+  if (!measured && high < SOME_MINUTES_S) return t("some minutes left at most");
+  const [from, to] = [low, high].map((seconds) => Math.ceil(seconds / 60));
+  if (high < 60) return t("less than a minute left");
+  if (to >= 120) return inHours(Math.round(low / 3600), Math.ceil(high / 3600));
+  return from === to ? t`about ${to} min left` : t`${from} to ${to} min left`;
+}
+
+function inHours(from, to) {
+  return from === to ? t`about ${from} h left` : t`about ${from} to ${to} h left`;
+}
+
+/** The plan that an estimate has made is only read, which says nothing of the pace. */
+const isPaced = ({ name }) => name !== "passes";
+
+/** How much longer stages take here than usual; reused stages do not count. */
+function paceOf(stages) {
+  const done = stages.filter((stage) => stage.state === "committed" && stage.seconds !== null && isPaced(stage));
+  const sum = (key) => done.reduce((total, stage) => total + stage[key], TRUST_S);
+  return sum("seconds") / sum("usual_s");
+}
+
+/** The longer of the usual remaining time and that at its own pace. A late stage is expected to take as much more as it is late. */
+function ofRunning({ started_at: startedAt, usual_s: usualS }, usual, share, now) {
+  const spent = Math.max(0, (now - Date.parse(startedAt)) / 1000);
+  const own = share > TELLING ? (spent * (1 - share)) / share : 0;
+  const late = share > TELLING ? 0 : Math.max(0, spent - usual);
+  return Math.max(usual * (1 - share), own, late, usualS * 0.05);
 }

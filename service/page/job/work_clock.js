@@ -39,7 +39,7 @@ export function workedSeconds({ worked_ms: worked, since_ms: since }, now_ms) {
 
 /** {node}: the clock of a job whose setup sheet says so many minutes. It stops by itself when it leaves the screen. */
 export function workClock(job, minutes) {
-  const whole_s = 60 * minutes;
+  const whole_s = 60 * Math.round(minutes); // as the sheet says it
   const left = h("strong", { role: "timer" });
   const about = h("span", { class: "dim" });
   const bar = h("progress", { max: whole_s, "aria-label": t("Work by hand so far") });

@@ -1,10 +1,9 @@
 /** A job as one card of the list, kept up to date in place so that nothing flickers or loses the focus. */
 
 import { api } from "../lib/api.js";
-import { h, replace, write } from "../lib/dom.js";
+import { h, replace, whenSeen, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { stateMark } from "../lib/state.js";
-import { whenSeen } from "../lib/when_seen.js";
 import { ago, hours, jobName, percentUnderWay } from "../lib/words.js";
 
 const LEAST_ID = 6; // digits: any shorter part is in some id

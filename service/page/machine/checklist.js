@@ -5,7 +5,7 @@ import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { isDry } from "../lib/state.js";
 import { ball, thousands } from "../lib/words.js";
-import { enable } from "./refusal_line.js";
+import { enable } from "./order_controls.js";
 
 /**
  * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing; under it what

@@ -2,8 +2,7 @@
 
 import { h, replace } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";
-import { askIn } from "./ask.js";
-import { enable, refusalLine } from "./refusal_line.js";
+import { askIn, enable, refusalLine } from "./order_controls.js";
 import { logWords, refusal, whyNot } from "./words.js";
 
 const SHOWN = 200;

@@ -4,7 +4,7 @@ import { toast } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { ago } from "../lib/words.js";
-import { guardedButton } from "./ask.js";
+import { guardedButton } from "./order_controls.js";
 import { refusal } from "./words.js";
 
 export function controlBar(link) {

@@ -6,7 +6,7 @@ import { locale, t } from "../lib/language.js";
 import { isDry, mark } from "../lib/state.js";
 import { ball, hours, percent } from "../lib/words.js";
 import { saveBlob } from "../job/save.js";
-import { refusalLine } from "./refusal_line.js";
+import { refusalLine } from "./order_controls.js";
 import { RUN_STATES } from "./sentences.js";
 import { programWords } from "./words.js";
 

@@ -10,7 +10,7 @@ import { t } from "../lib/language.js";
 import { watchGamepad } from "./gamepad.js";
 import { holdToJog } from "./held.js";
 import { depthInBlock, withinTravel } from "./place.js";
-import { enable, refusalLine } from "./refusal_line.js";
+import { enable, refusalLine } from "./order_controls.js";
 import { WaitingSteps } from "./waiting_steps.js";
 import { isConnected, whyNot } from "./words.js";
 

@@ -5,7 +5,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { isCut, isGoing, mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
-import { enable, refusalLine } from "./refusal_line.js";
+import { enable, refusalLine } from "./order_controls.js";
 import { addressOf, whyNot } from "./words.js";
 
 const AGAIN_MS = 3000;

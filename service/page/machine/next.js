@@ -6,7 +6,7 @@
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
-import { enable } from "./refusal_line.js";
+import { enable } from "./order_controls.js";
 import { refusalOf } from "./words.js";
 
 const REST_MS = 1000; // during which a new button ignores presses: they were meant for the button before it

@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";
-import { enable, refusalLine } from "./refusal_line.js";
+import { enable, refusalLine } from "./order_controls.js";
 import { logWords } from "./words.js";
 
 const PAGE = 25;

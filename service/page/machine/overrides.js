@@ -2,7 +2,7 @@
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { enable, refusalLine } from "./refusal_line.js";
+import { enable, refusalLine } from "./order_controls.js";
 import { whyNot } from "./words.js";
 
 const STATES = ["idle", "run", "holding", "held", "jog", "door", "check", "alarm", "tool"];

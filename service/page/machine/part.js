@@ -9,7 +9,7 @@ import { t } from "../lib/language.js";
 import { isDry } from "../lib/state.js";
 import { surfaceOf } from "../job/drawing_file.js";
 import { passesOf } from "../job/figures.js";
-import { heightPicture } from "../job/height_map.js";
+import { heightPicture } from "../job/surface.js";
 import { openPath } from "../job/path_file.js";
 import { PathSketch } from "./path_sketch.js";
 import { coordinate } from "./words.js";

@@ -2,7 +2,7 @@
 
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { guardedButton } from "./ask.js";
+import { guardedButton } from "./order_controls.js";
 
 const KEPT = "causticmill-corner-plate";
 const ASIDE_MM = 20;

@@ -1,9 +1,8 @@
 /** The tool's position in numbers that can be read from two metres away; while a program runs, plots of feed and buffer. */
 
-import { h, write } from "../lib/dom.js";
+import { h, svg, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { thousands } from "../lib/words.js";
-import { sparkline } from "./sparkline.js";
 import { coordinate, hasLiveRun } from "./words.js";
 
 const AXES = ["X", "Y", "Z"];
@@ -65,4 +64,26 @@ function spindleWords(mill) {
     return mill?.spindle_rpm ? t`${thousands(Math.round(mill.spindle_rpm))} rpm` : "–";
   }
   return mill.spindle_on ? t`on, ${thousands(Math.round(mill.spindle_rpm ?? 0))} rpm` : t("off");
+}
+
+const SPAN_MS = 60_000;
+const [WIDE, HIGH] = [120, 28];
+
+/** {node, add(value)}; most: the top of the plot, 0: the most that was seen. null ends it: it is not shown then. */
+export function sparkline(name, most) {
+  const line = svg("polyline", { points: "" });
+  const drawn = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", role: "img", "aria-label": t`${name} in the last minute` }, line);
+  const node = h("dd", { class: "spark", hidden: true }, drawn);
+  let points = []; // {at, value}
+  return {
+    node,
+    add(value) {
+      const at = performance.now();
+      points = Number.isFinite(value) ? [...points.filter((one) => at - one.at < SPAN_MS), { at, value }] : [];
+      node.hidden = points.length < 2;
+      const top = most || Math.max(1, ...points.map((one) => one.value));
+      const place = (one) => `${(WIDE * (1 - (at - one.at) / SPAN_MS)).toFixed(1)},${((HIGH - 2) * (1 - Math.min(1, one.value / top)) + 1).toFixed(1)}`;
+      line.setAttribute("points", points.map(place).join(" "));
+    },
+  };
 }

@@ -8,9 +8,8 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { sentence, thousands } from "../lib/words.js";
-import { guardedButton } from "./ask.js";
 import { checklist } from "./checklist.js";
-import { enable, refusalLine } from "./refusal_line.js";
+import { enable, guardedButton, refusalLine } from "./order_controls.js";
 import { describe } from "./sentences.js";
 import { coordinate, whyNot } from "./words.js";
 

@@ -9,7 +9,7 @@
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { refusalLine } from "./refusal_line.js";
+import { refusalLine } from "./order_controls.js";
 import { hasLiveRun, isConnected, mayMove, whyNot } from "./words.js";
 
 const HELD = ["held", "door", "tool"];

@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";
-import { refusalLine } from "./refusal_line.js";
+import { refusalLine } from "./order_controls.js";
 
 const EVERY_MS = 120;
 

@@ -13,6 +13,8 @@ const FIELDS = [
   ["flute", t("Cutting length"), USUAL, "flute_length_mm"],
   ["shank", t("Shank"), USUAL, "shank_radius_mm"],
   ["stick_out", t("Sticks out"), USUAL, "stick_out_mm"],
+  ["flutes", t("Flutes"), "2", "flutes"],
+  ["number", t("Tool number"), t("none"), "number"],
 ];
 
 /** Returns the section's nodes. onChange(): the cutters have changed. */
@@ -60,7 +62,7 @@ export function ownCutters({ onChange }) {
     const names = new Set(tools.map(({ name }) => name)), plain = `${shape}-r${round(radius_mm)}`;
     const name = [plain, ...tools.map((_, k) => `${plain}-${k + 2}`)].find((one) => !names.has(one)) ?? `${plain}-1`;
     const shank_radius_mm = read("shank", Math.max(diameter, diameter < 3.175 ? 3.175 : 6)) / 2;
-    return { name, radius_mm, corner_radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)) };
+    return { name, radius_mm, corner_radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)), flutes: read("flutes", 2), number: read("number", null) };
   }
   return [h("p", { class: "dim" }, INTRO), list, fields, said, usual];
 }

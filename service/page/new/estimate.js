@@ -20,7 +20,7 @@ const SLOW_MS = 4000;
 const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
- * {ask(), stop(), forget(), settled}. What has been worked out exactly is not asked again, until `forget`. make(): the form to send, null if there is nothing to ask yet. onState({kind, ...}): "none"
+ * {ask(), stop(), forget(), settled}. What has been worked out exactly is not asked again, until `forget`. make(): the form to send, null if there is nothing to ask yet; make({exactly: true}): with the picture that a job gets, so that both share a plan. onState({kind, ...}): "none"
  * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`first`: a first look, an exact answer
  * follows where nothing is asked meanwhile; `after`: the first look that it replaces), "problems" with `problems`,
  * "fault" with `words`, "absent" no such service. settled: an estimate is known of what was asked last. A first look
@@ -61,7 +61,7 @@ export function estimator({ make, onState }) {
       if (signal.aborted) return;
       settled = true;
       onState({ kind: "known", estimate, first: !estimate.exact });
-      if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate, key), EXACT_CALM_MS);
+      if (!estimate.exact) timer = setTimeout(() => runExactly(signal, estimate, key), EXACT_CALM_MS);
     } catch (error) {
       if (signal.aborted) return;
       onState(describeError(error));
@@ -77,9 +77,11 @@ export function estimator({ make, onState }) {
     onState({ kind: "known", estimate: exact, after: coarse });
   }
 
-  async function runExactly(signal, form, coarse, key) {
+  async function runExactly(signal, coarse, key) {
     let estimate = coarse;
     try {
+      const form = await make({ exactly: true });
+      if (signal.aborted) return;
       estimate = await api.upload("/v1/estimates?exactly=true", form, { headers: HEADERS, signal, quiet: true });
       answers.set(key, [coarse, estimate]);
     } catch {

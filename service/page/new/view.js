@@ -5,11 +5,10 @@ import { toast } from "../lib/dialog.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
-import { keepPrediction } from "../job/prediction.js";
-import { allSettings } from "./all_settings.js";
+import { keepPrediction } from "../job/eye_words.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
-import { focusRow, specForm } from "./form.js";
+import { allSettings, focusRow, specForm } from "./form.js";
 import { keepOwn, MACHINE_USUAL, ownThings, startSpec } from "./own.js";
 import { FIRST } from "./passes.js";
 import { pictureSide } from "./picture_side.js";
@@ -18,7 +17,7 @@ import { merged, valueAt, withChange } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
 import { priorityRow, submitBar } from "./submit_bar.js";
 
-const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
+const FIRST_LOOK_SIDE = 1024; // pixels: enough for a first look
 const NO_PICTURE = t("Choose a picture first.");
 const CANNOT = t("Such a lens cannot be made.");
 
@@ -90,7 +89,7 @@ function newJob(profiles, app, withMills) {
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, plans: plans.element, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
-  const asks = estimator({ make: estimateForm, onState: showEstimate });
+  const asks = estimator({ make: (how) => estimateForm({}, how), onState: showEstimate });
   const changes = h("div");
   const foot = submitBar(submit);
   const sending = sender({ onWait: foot.wait });
@@ -152,10 +151,10 @@ function newJob(profiles, app, withMills) {
     all.open ||= !form.isUsual("lens", "light", "mill");
   }
 
-  async function estimateForm(change = {}) {
+  async function estimateForm(change, { exactly = false } = {}) {
     const { spec, faults } = form.read();
     if (faults.length || !side.has()) return null;
-    return jobForm(await side.sent({ mostSide: ESTIMATE_SIDE }), JSON.stringify(withChange(spec, change)));
+    return jobForm(await side.sent(exactly ? {} : { mostSide: FIRST_LOOK_SIDE }), JSON.stringify(withChange(spec, change)));
   }
 
   function takeChange({ what, values }) {

@@ -6,8 +6,7 @@
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { gestures } from "../job/gestures.js";
-import { MOST_ZOOM, paint, partOf, clampEdits, sizeOf } from "./picture.js";
-import { bend, curve } from "./tones.js";
+import { bend, clampEdits, curve, MOST_ZOOM, paint, partOf, sizeOf } from "./picture.js";
 
 const SIDE = 448; // pixels of the longer side
 

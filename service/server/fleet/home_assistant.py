@@ -101,7 +101,7 @@ def _state_of(machine: MachineView) -> dict[str, Any]:
     left_s = None if run is None else run.time_left_s
     return {
         "state": str(mill.get("state") or "unreachable"),
-        "program": "" if run is None else run.program,
+        "program": "" if run is None else run.program if run.lift_mm is None else f"{run.program} (dry pass)",
         "percent": None if run is None else round(100 * run.share, 1),
         "left_min": None if left_s is None else round(left_s / 60),
         "hand": "ON" if trouble_of(machine) else "OFF",

@@ -149,7 +149,7 @@ def test_a_program_that_is_read_in_batches_leaves_the_same_tracks(parting):
             batch,
             points_mm=batch.points_mm[first : last + 1],
             **{name: getattr(batch, name)[first:last] for name in ("is_rapid", "feed_mm_per_min", "line", "pause_s")},
-            spindle_on=batch.spindle_on[first:last],
+            spindle_rpm=batch.spindle_rpm[first:last],
         )
         for first, last in ((0, parting), (parting, len(batch)))
     ]

@@ -30,7 +30,7 @@ def batch_of(points, feed=None) -> MoveBatch:
         is_rapid=np.zeros(n, dtype=bool),
         feed_mm_per_min=np.full(n, SPEC.feed_mm_per_min if feed is None else feed),
         line=np.arange(1, n + 1),
-        spindle_on=np.ones(n, dtype=bool),
+        spindle_rpm=np.full(n, 1e4),
         pause_s=np.full(n, -1.0),
         lines_read=n,
         bytes_read=0,

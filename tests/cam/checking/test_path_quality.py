@@ -138,9 +138,8 @@ def test_batches_do_not_change_the_measures(at_once):
 
     for k in range(0, len(whole), at_once):
         cut = slice(k, min(k + at_once, len(whole)))
-        part = {
-            name: getattr(whole, name)[cut] for name in ("is_rapid", "feed_mm_per_min", "line", "spindle_on", "pause_s")
-        }
+        names = ("is_rapid", "feed_mm_per_min", "line", "spindle_rpm", "pause_s")
+        part = {name: getattr(whole, name)[cut] for name in names}
         batch: MoveBatch = replace(whole, points_mm=whole.points_mm[k : cut.stop + 1], **part)
         quality.add(batch, Touching(len(batch)))
     found = quality.measure()

@@ -23,7 +23,7 @@ def batch_of(points, rapid=None, first_line=1) -> MoveBatch:
         is_rapid=np.zeros(n, dtype=bool) if rapid is None else np.asarray(rapid, dtype=bool),
         feed_mm_per_min=np.full(n, 600.0),
         line=np.arange(first_line, first_line + n),
-        spindle_on=np.ones(n, dtype=bool),
+        spindle_rpm=np.full(n, 1e4),
         pause_s=np.full(n, -1.0),
         lines_read=n,
         bytes_read=0,

@@ -109,7 +109,7 @@ def test_tool_words_that_name_no_tool_are_refused():
     for text, reason in ((b"G21\nM6\n", "needs T"), (b"G21\nG43\n", "needs H"), (b"G21\nG1H1\n", "H belongs")):
         with pytest.raises(ProgramError, match=reason):
             read("linuxcnc", text)
-    with pytest.raises(ProgramError, match="M6 is not allowed here"):
+    with pytest.raises(ProgramError, match="T1 is not allowed here"):
         read("grbl", b"G21\nT1M6\n")
 
 

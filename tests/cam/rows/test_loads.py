@@ -70,7 +70,7 @@ def shorten(batch: MoveBatch, most_mm: float) -> MoveBatch:
         is_rapid=batch.is_rapid[move],
         feed_mm_per_min=batch.feed_mm_per_min[move],
         line=batch.line[move],
-        spindle_on=batch.spindle_on[move],
+        spindle_rpm=batch.spindle_rpm[move],
         pause_s=batch.pause_s[move],
     )
 

@@ -200,7 +200,7 @@ def test_time_of_a_finishing_path_agrees_with_the_duration_model():
             is_rapid=np.zeros(n, dtype=bool),
             feed_mm_per_min=np.full(n, 2400.0),
             line=np.arange(1, n + 1),
-            spindle_on=np.ones(n, dtype=bool),
+            spindle_rpm=np.full(n, 1e4),
             lines_read=n,
             bytes_read=20 * n,
             ended=True,

@@ -77,6 +77,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     page.get_by_label("Pitch").last.fill("0.25")
     page.get_by_label("Step down").last.fill("0.4")
     page.get_by_role("button", name="Make the lens").click()
+    page.locator("summary", has_text="Programs").click(timeout=JOB_MS)
     page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=JOB_MS)
     page.get_by_role("button", name="Take control").click()
     page.get_by_role("textbox", name="Code", exact=True).fill(shop.code)

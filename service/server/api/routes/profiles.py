@@ -161,6 +161,7 @@ class ToolView(Body):
         float | None,
         Field(ge=0, le=25, description="0: flat; less than radius_mm: bull-nose; left out: a ball"),
     ] = None
+    number: Annotated[int | None, Field(ge=1, le=9999, description="in the mill's tool table")] = None
 
 
 class ToolsBody(Body):

@@ -67,9 +67,8 @@ def test_it_is_one_page_of_a4_with_every_program_and_tool() -> None:
     assert (float(box.width), float(box.height)) == pytest.approx((595.28, 841.89), abs=0.1)
     text = words(content)
     for number in (1, 2, 3):
-        row = (
-            f"pass-{number}-finish.nc Ø {number} mm ball, R {0.5 * number:g} 16.2 mm 10 00{number} 600, 90 13 h 53 min"
-        )
+        tool = f"Ø {number} mm ball, R {0.5 * number:g} ≥ 16.2 mm"
+        row = f"pass-{number}-finish.nc {tool} 10 00{number} 600, 90 13 h 53 min"
         assert f"{row} {number:08x}" in text, text
     assert "Setup sheet: face" in text
     assert len(page_of(content).images) == 1

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.job.report.block import CLAMP_MM, BlockSizes, side_view, top_view
+from cam.checking.envelope import CLAMP_GRIP_MM
+from service.job.report.block import BlockSizes, side_view, top_view
 from service.job.report.passes import check_rows, flutes_in_words, order_in_words
 from service.job.spec.loading import resolve_spec
 from service.job.spec.optics import ellipse_mm
@@ -330,7 +331,7 @@ def test_the_default_margin_can_be_clamped(preset, monkeypatch, tmp_path):
     monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path))
     spec = resolve_spec(preset=preset)
     radius_mm = max(one.radius_mm for one in spec.passes or load_tools())
-    assert spec.stock.margin_mm - 2 * radius_mm >= CLAMP_MM
+    assert spec.stock.margin_mm - 2 * radius_mm >= CLAMP_GRIP_MM
 
 
 def test_where_the_top_is_faced_no_margin_is_promised_to_hold_clamps():

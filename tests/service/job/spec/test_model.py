@@ -101,6 +101,7 @@ BAD_VALUES = [
         "passes.1.corner_radius_mm",
         ["first"],
     ),
+    ("stock.material=brass", "stock.material", ["brass (mirror) lets no light through", "optics.surface = 'mirror'"]),
     ("stock.face={pitch_mm=9}", "stock.face.pitch_mm", ["9 leaves stock", "to 6"]),
     ("stock={cut_out={}, margin_mm=1}", "stock.margin_mm", ["1 leaves 1 mm", "allowed: a margin of at least 4"]),
     ("stock.cut_out={tab_height_mm=30}", "stock.cut_out.tab_height_mm", ["30", "at most 20"]),

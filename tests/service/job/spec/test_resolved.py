@@ -19,7 +19,11 @@ from service.job.stages.table import facts_of, plan, stage_key
 
 jobs = st.builds(
     lambda profile, process: resolve_job(
-        preset="recommended", base={"machine": {"profile": profile}, "finish": {"process": process}}
+        preset="recommended",
+        base={
+            "machine": {"profile": profile, **({"top_z_mm": 400.0} if profile == "okuma-osp" else {})},
+            "finish": {"process": process},
+        },
     ),
     st.sampled_from(profile_names()),
     st.sampled_from([NONE, BEST, *built_in_processes()]),

@@ -86,7 +86,7 @@ def test_tools_that_were_saved_are_those_that_are_there(rows: list[tuple[float, 
         asked = [
             {"name": f"Ø {number} \"own\"", "radius_mm": r, "flutes": 2, "flute_length_mm": r + flute,
              "shank_radius_mm": shank, "stick_out_mm": r + flute + shank, "max_rpm": 30000.0, "cost_class": 2,
-             "corner_radius_mm": None if number % 2 else 0.0}
+             "corner_radius_mm": None if number % 2 else 0.0, "number": number + 1}
             for number, (r, flute, shank) in enumerate(rows)
         ]  # fmt: skip
         tools.save_tools([{key: value for key, value in row.items() if value is not None} for row in asked])

@@ -187,7 +187,7 @@ def test_a_damaged_plan_is_made_again_and_a_folder_that_takes_none_hinders_nobod
 
 def test_the_folder_does_not_grow_without_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_plans(monkeypatch)
-    monkeypatch.setattr(kept_plans, "_KEPT_BYTES", 20_000)
+    monkeypatch.setattr(kept_plans, "KEPT_BYTES", 20_000)
     for number in range(20):
         KeptPlans(tmp_path).make(JOB, TARGET + number, at_once=True)
     assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 20_000

@@ -46,9 +46,12 @@ OTHER: dict[str, Any] = {
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
     "machine.screw_error_mm": [0.002, 0.0, 0.001], "machine.screw_lead_mm": [2.0, 2.0, 1.25],
     "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.collet_mm": 8.0,
+    "machine.bed_to_collet_mm": 120.0, "machine.table_mm": [150.0, 150.0], "machine.gantry_mm": 90.0,
+    "stock.base_mm": 5.0, "passes.0.stick_out_mm": 25.0, "passes.1.stick_out_mm": 25.0,
     "machine.spindle_rpm": [2000.0, 19000.0], "passes.0.name": "other", "passes.1.name": "other",
+    "stock.material": "polycarbonate", "passes.0.tool_name": "ball-a", "passes.1.tool_name": "ball-b",
 }  # fmt: skip
-ONLY_ONE_VALUE = {"stock.material", "passes.0.where", "passes.1.corner_radius_mm"}
+ONLY_ONE_VALUE = {"passes.0.where", "passes.1.corner_radius_mm"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
@@ -68,6 +71,8 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
     "stock.cut_out": ({}, {"stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}),
     "stock.clamps": ({}, {"stock.clamps": [CLAMP]}),
+    "stock.clamping": ({"stock.margin_mm": 14.0}, {"stock.margin_mm": 14.0, "stock.clamping": "strap-m6"}),
+    "machine.top_z_mm": (LINUXCNC, {**LINUXCNC, "machine.top_z_mm": -1.0}),
     "machine.blend_tolerance_mm": (LINUXCNC, {**LINUXCNC, "machine.blend_tolerance_mm": 0.002}),
     "machine.high_precision": ({}, {"machine.high_precision": None}),
     "optics.light.kind": ({}, {"optics.light": {"kind": "sun"}}),

@@ -1,0 +1,121 @@
+"""Measures the chip per tooth of a program: feed over speed and flutes, over the time in which the cutter takes stock
+off, against the band of the material.
+
+The feed per tooth is what cutter makers tabulate, so it is what is compared with their bands. The chip itself is
+thinner: a ball of radius R that is a deep cuts at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2, 0.36
+where a finish takes R / 15 off; makers' figures for such cuts take that into account. The band is compared with the
+feeds that are written; what the mill reaches of them while it speeds up, brakes or waits for the link is measured too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam.checking.removal import Drops
+from cam.duration import is_block
+from cam.passes import PassSpec
+from cam.reading.gcode import MoveBatch
+from optics.heightfield import Array
+
+_CUTS_MM = 1e-3
+"""Less stock than this is what rounding leaves, and no cut."""
+
+_ROUNDED = 0.01  # feeds and speeds are whole numbers
+
+_LENGTH, _FEED, _TEETH, _LINE, _X, _Y = range(6)  # columns of a block; _TEETH: a minute, 0 where nothing is cut
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChipTime:
+    """How long a program cuts [s] with chips below, within and above the band, and where it cuts thinnest.
+
+    reached_s, asked_s : by the feeds that the mill reaches, and by those that are written
+    thinnest_mm : mean chip of the time below the band; line, x_mm, y_mm: of its longest block; line 0: none
+    """
+
+    reached_s: tuple[float, float, float]
+    asked_s: tuple[float, float, float]
+    thinnest_mm: float
+    line: int
+    x_mm: float
+    y_mm: float
+
+    @property
+    def share(self) -> float:
+        """Share of the cutting time whose written feed makes chips within the band."""
+        return _within(self.asked_s)
+
+    @property
+    def reached_share(self) -> float:
+        """The same of the feeds that are reached: not while the mill speeds up, brakes or waits for lines."""
+        return _within(self.reached_s)
+
+
+def _within(seconds: tuple[float, float, float]) -> float:
+    return seconds[1] / sum(seconds) if sum(seconds) > 0 else 1.0
+
+
+class Chips:
+    """Watches one program, batch by batch."""
+
+    def __init__(self, spec: PassSpec) -> None:
+        self._spec = spec
+        self._waiting = np.empty((0, 6))  # blocks whose time is not certain yet
+        self._ended_s = 0.0
+        self._reached_s, self._asked_s = np.zeros(3), np.zeros(3)
+        self._thin_mm_s, self._longest_s, self._place = 0.0, 0.0, np.zeros(3)
+
+    def add(self, batch: MoveBatch, drops: Drops, done_s: Array) -> None:
+        """Add a batch. done_s : ends of the blocks that are certain now, as `DurationModel.add_batch` returns them."""
+        cuts = (drops.depth_mm[1:] > _CUTS_MM) & ~batch.is_rapid & (batch.pause_s < 0.0)
+        blocks = np.column_stack(
+            (
+                np.linalg.norm(batch.end_mm - batch.start_mm, axis=1),
+                batch.feed_mm_per_min,
+                np.where(cuts, batch.spindle_rpm * self._spec.flutes, 0.0),
+                batch.line,
+                batch.end_mm[:, :2],
+            )
+        )
+        self._waiting = np.concatenate((self._waiting, blocks[is_block(batch)]))
+        self._judge(done_s)
+
+    def _judge(self, done_s: Array) -> None:
+        blocks, self._waiting = self._waiting[: done_s.size], self._waiting[done_s.size :]
+        took_s = np.diff(done_s, prepend=self._ended_s)
+        self._ended_s = float(done_s[-1]) if done_s.size else self._ended_s
+        cuts = blocks[:, _TEETH] > 0.0
+        blocks, took_s = blocks[cuts], np.maximum(took_s[cuts], 1e-9)
+        least_mm, most_mm = self._spec.chip_mm
+        asked_mm = blocks[:, _FEED] / blocks[:, _TEETH]
+        reached_mm = np.minimum(asked_mm, 60 * blocks[:, _LENGTH] / took_s / blocks[:, _TEETH])
+        for chip_mm, sums in ((asked_mm, self._asked_s), (reached_mm, self._reached_s)):
+            place = 1 + (chip_mm > most_mm * (1 + _ROUNDED)) - (chip_mm < least_mm * (1 - _ROUNDED))
+            sums += np.bincount(place, weights=took_s, minlength=3)
+        thin = np.flatnonzero(asked_mm < least_mm * (1 - _ROUNDED))
+        if thin.size:
+            self._thin_mm_s += float(asked_mm[thin] @ took_s[thin])
+            longest = thin[np.argmax(took_s[thin])]
+            if took_s[longest] > self._longest_s:
+                self._longest_s, self._place = float(took_s[longest]), blocks[longest, _LINE:]
+
+    def finish(self, waiting_s: Array) -> ChipTime:
+        """Return the result. waiting_s : ends of the last blocks."""
+        self._judge(waiting_s)
+        line, x_mm, y_mm = map(float, self._place)
+        below_s = float(self._asked_s[0])
+        return ChipTime(
+            reached_s=_three(self._reached_s),
+            asked_s=_three(self._asked_s),
+            thinnest_mm=self._thin_mm_s / below_s if below_s else 0.0,
+            line=int(line),
+            x_mm=x_mm,
+            y_mm=y_mm,
+        )
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    below, within, above = map(float, values)
+    return below, within, above
