@@ -21,6 +21,7 @@ from machines.profile_values import (
     FLOWS,
     HIGH_PRECISION,
     SPINDLE,
+    UNITS,
     BadValueError,
     Rules,
     UnreadableFileError,
@@ -167,6 +168,10 @@ class MachineProfile:
     work_offset            : that programs work in, 1 to 6: G54 to G59, Okuma's G15 H1 to H6
     blend_tolerance_mm     : how far the control may round corners; 0: exact stop; None: as programs usually have it
     high_precision         : mode of the control that programs switch on, one of HIGH_PRECISION
+    tool_change            : programs change their tool (T, M6) and take its length from the control's table (G43 H)
+    optional_stop          : programs stop before the spindle turns, where the control's switch for it is on (M1)
+    units                  : of programs, one of UNITS
+    number_every           : an N word on every so many-th line; None: as the dialect has it
     warm_up_s              : a job's first program brings the spindle up to speed in steps for so long; 0: at once
     trace_outline          : a job's first program goes around block and lens in the air before it cuts
     spindle                : what the spindle does in a hold, and without a link
@@ -207,6 +212,10 @@ class MachineProfile:
     work_offset: Annotated[int, whole(1, 6)] = 1
     blend_tolerance_mm: Annotated[float | None, number(0, 1, "mm")] = None
     high_precision: Annotated[str, one_of(*HIGH_PRECISION)] = "none"
+    tool_change: Annotated[bool, flag()] = False
+    optional_stop: Annotated[bool, flag()] = False
+    units: Annotated[str, one_of(*UNITS)] = "mm"
+    number_every: Annotated[int | None, whole(1, 1000)] = None
     warm_up_s: Annotated[float, number(0, 3600, "s")] = 0.0
     trace_outline: Annotated[bool, flag()] = False
     description: Annotated[str, text(300)] = ""

@@ -20,6 +20,7 @@ FLOWS = ("none", "rtscts", "xonxoff")
 SPINDLE = ("turns", "stops", "unknown")
 COOLANTS = ("none", "air", "mist", "flood")
 HIGH_PRECISION = ("none", "g05.1", "g08")
+UNITS = ("mm", "inch")
 
 
 _MOST_BYTES = 1_000_000

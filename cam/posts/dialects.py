@@ -1,17 +1,19 @@
 """Every dialect in which programs can be written, by its name in machine profiles, and its abilities.
 
 G-code is read by GRBL 1.1, grblHAL and FluidNC; and by controls that once read ISO code from a tape: LinuxCNC,
-Fanuc-like, Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. No control is sent a tool length: Z0 is set with that
-tool, and the active tool offset stays. G40 and G80 end what an earlier program may have left on. Where the least input
-is 0.001 mm, positions have three decimals and always a point: without one, 5 means 0.005 mm. On machining centres M8 is
-coolant everywhere; which word opens the air or the mist is the builder's choice, so none is guessed.
+Fanuc-like, Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. Where a shop changes tools by program, T and M6 come
+first, and the length (G43 H, Okuma's G56 H) with the first Z of the work frame: alone it moves Z on some controls.
+Otherwise no control is sent a tool length: Z0 is set with that tool, and the active tool offset stays. G40 and G80 end
+what an earlier program may have left on. Where the least input is 0.001 mm (0.0001 inch), positions have three (four)
+decimals and always a point: without one, 5 means 0.005 mm. On machining centres M8 is coolant everywhere; which word
+opens the air or the mist is the builder's choice, so none is guessed.
 
 Plain data without arrays; `cam.posts.writers` writes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import reduce
 
@@ -26,6 +28,7 @@ GRBL = Post(
     zero="zero: {offset}, with G92 and tool length G43.1 as they were when it was set",
     spin=("M3S{rpm}", "G4P{dwell_s}"),
     end=("M5", "M2"),
+    inches=True,
     coolant={"air": "M8", "mist": "M7", "flood": "M8"},  # stock GRBL has one output, M8, and M7 only where built in
 )
 GRBLHAL = replace(GRBL, name="grblhal")
@@ -41,6 +44,10 @@ LINUXCNC = Post(
     spin=("M3S{rpm}", "G4P{dwell_s}"),
     blend=("G64P{tolerance}Q0", "G61.1"),
     coolant={"air": "M7", "mist": "M7", "flood": "M8"},
+    change=("T{tool}M6",),
+    length="G43H{tool}",
+    stop="M1",
+    inches=True,
     end=("M5", "M2"),
 )
 # The dwell by X, in seconds: P is milliseconds on most of these and seconds on some.
@@ -51,6 +58,10 @@ FANUC = Post(
     start=("G21G90G94G17G40G80{offset}",),
     zero="zero: {offset}, with G52, G92 and G43 as they were when it was set",
     spin=("S{rpm}M3", "G4X{dwell_s}"),
+    change=("T{tool}M6",),
+    length="G43H{tool}",
+    stop="M1",
+    inches=True,
     coolant={"flood": "M8"},
     high_precision=True,
     end=("M5", "M30", "%"),
@@ -71,6 +82,10 @@ OKUMA = Post(
     zero="zero: G15 H{offset_number}, with tool length G56 as it was when it was set",
     top="G16H0G0Z{top}",
     spin=("S{rpm}M3", "G4F{dwell_s}"),
+    change=("T{tool}M6",),
+    length="G56H{tool}",
+    stop="M1",
+    inches=True,
     coolant={"flood": "M8"},
     end=("M5", "M2", "%"),
     capitals=True,
@@ -109,7 +124,9 @@ _ALL: tuple[Dialect, ...] = (GRBL, GRBLHAL, FLUIDNC, LINUXCNC, FANUC, OKUMA, ROL
 POSTS: dict[str, Dialect] = {post.name: post for post in _ALL}
 
 
-def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, str, Phrase]]:
+def find_unsupported(
+    dialect: str, setup: ProgramSetup, *, units: str = "mm", number_every: int | None = None
+) -> Iterator[tuple[str, str, Phrase]]:
     """Yield (field, value in words, what is allowed) for every request that a control of this dialect cannot fulfil."""
     post = POSTS[dialect]
     if setup.coolant != "none" and setup.coolant not in post.coolant:
@@ -138,6 +155,19 @@ def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, s
         able = _list_all(f"'{other.name}'" for other in _ALL if other.high_precision)
         allowed = Phrase("'none' in dialect '{dialect}'; {able} has such modes", dialect=dialect, able=able)
         yield "high_precision", f"'{setup.high_precision}'", allowed
+    for field, value, is_able, has in (
+        ("tool_change", "true" if setup.tool else "", post.change, lambda one: bool(one.change)),
+        ("optional_stop", "true" if setup.optional_stop else "", post.stop, lambda one: bool(one.stop)),
+        ("units", "'inch'" if units == "inch" else "", post.inches, lambda one: one.inches),
+        ("number_every", f"{number_every}" if number_every else "", post.stop, lambda one: bool(one.stop)),
+    ):
+        if value and not is_able:
+            able = _name_those(has)
+            yield field, value, Phrase("left out in dialect '{dialect}'; {able} can do it", dialect=dialect, able=able)
+
+
+def _name_those(has: Callable[[Dialect], bool]) -> str:
+    return _list_all(f"'{other.name}'" for other in _ALL if has(other))
 
 
 def _list_all(names: Iterable[str]) -> str:

@@ -50,6 +50,11 @@ class Post:
                      of a warm-up, where the start has switched it on already
     blend          : blocks for corners rounded within {tolerance}, and for an exact stop; {blend} of the start is one;
                      empty where the control has no word for it
+    change         : blocks that bring {tool} into the spindle; empty where programs have no word for it
+    length         : the word that takes its length into account, before the first Z of a program
+    stop           : an optional stop; empty: none
+    inches         : programs may be in inches
+    unit_mm        : of lengths and feeds: 1, or 25.4
     coolant        : words that switch on "air", "mist" or "flood", where the control has them
     high_precision : whether it has the modes of HIGH_PRECISION_WORDS
     least_decimals : 1 where a control reads 5 as 5 least inputs, and only 5.0 as 5 mm
@@ -70,6 +75,11 @@ class Post:
     spin: tuple[str, ...] = ()
     faster: tuple[str, ...] = ()
     blend: tuple[str, str] = ("", "")
+    change: tuple[str, ...] = ()
+    length: str = ""
+    stop: str = ""
+    inches: bool = False
+    unit_mm: float = 1.0
     coolant: Mapping[str, str] = field(default_factory=dict)
     high_precision: bool = False
     rapid: str = "G0"
@@ -92,7 +102,21 @@ class Post:
     @property
     def digits(self) -> Digits:
         """The resolution of positions that this dialect can write."""
-        return Digits(xy_mm=10.0**-self.xy_decimals, z_mm=10.0**-self.z_decimals)
+        return Digits(xy_mm=self.unit_mm * 10.0**-self.xy_decimals, z_mm=self.unit_mm * 10.0**-self.z_decimals)
+
+    def adapt(self, *, units: str, number_every: int | None) -> Post:
+        """Return this dialect as a shop keeps its programs: "mm" or "inch", with an N word on every so many-th line."""
+        post = self if number_every is None else replace(self, number_every=number_every)
+        if units == "mm":
+            return post
+        return replace(
+            post,
+            start=tuple(block.replace("G21", "G20", 1) for block in post.start),
+            unit_mm=MM_PER_INCH,
+            xy_decimals=post.xy_decimals + 1,
+            z_decimals=post.z_decimals + 1,
+            feed_decimals=min(4, post.feed_decimals + 2),
+        )
 
     @property
     def offsets(self) -> bool:
@@ -127,9 +151,9 @@ class Post:
         return self.block(opening + plain[: self.most_characters - len(opening) - len(closing)] + closing)
 
 
-def number(value: float, least_decimals: int = 0) -> str:
-    """Return a plain decimal, at most four places, no trailing zeros beyond the least."""
-    text = f"{value:.4f}".rstrip("0").rstrip(".")
+def number(value: float, least_decimals: int = 0, *, decimals: int = 4) -> str:
+    """Return a plain decimal, at most so many places, no trailing zeros beyond the least."""
+    text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
     return text if "." in text or not least_decimals else text + "." + "0" * least_decimals
 
 
@@ -148,6 +172,14 @@ class RmlPost:
     offsets: bool = False
     high_precision: bool = False
     traces_with_spindle_on: bool = False
+    change: tuple[str, ...] = ()
+    stop: str = ""
+    inches: bool = False
+    number_every: int = 0
+
+    def adapt(self, *, units: str, number_every: int | None) -> RmlPost:
+        """Return this dialect: there is nothing that a shop could choose."""
+        return self
 
     @property
     def digits(self) -> Digits:
@@ -163,6 +195,8 @@ HighPrecision = Literal["none", "g05.1", "g08"]
 HIGH_PRECISION_WORDS: Mapping[str, tuple[str, str]] = {"g05.1": ("G05.1Q1", "G05.1Q0"), "g08": ("G08P1", "G08P0")}
 """Words that switch the mode on and off, on Fanuc-like controls that have the option."""
 
+MM_PER_INCH = 25.4
+
 WARM_UP_SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the program's spindle speed, one step after the other, each for the same time."""
 
@@ -175,6 +209,9 @@ class ProgramSetup:
     blend_tolerance_mm : how far the path may leave its corners; 0: an exact stop at each; None: as the post has it
     warm_up_s          : the spindle comes up in WARM_UP_SHARES within this time; 0: at once
     slowest_rpm        : of the spindle; no step of the warm-up is slower
+    tool               : number that programs change to, with its length; 0: the tool stands in the spindle, and Z0 is
+                         set with it
+    optional_stop      : before the spindle turns
     top_z_mm           : machine Z of the raised head, to which the program goes before it goes across, and at its end;
                          None: not known, it goes to the safe height over the work zero
     """
@@ -185,6 +222,8 @@ class ProgramSetup:
     high_precision: HighPrecision = "none"
     warm_up_s: float = 0.0
     slowest_rpm: float = 0.0
+    tool: int = 0
+    optional_stop: bool = False
     top_z_mm: float | None = None
 
     def without_warm_up(self) -> ProgramSetup:

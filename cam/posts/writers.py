@@ -64,6 +64,8 @@ class ProgramWriter:
     def __init__(self, post: Post) -> None:
         self.post = post
         self._raised = False  # the head is at its top: the tool must move over its place before it comes down
+        self._tool = 0  # whose length is still to be taken into account, where the head is at its top
+        self._safe_z = ""
         self._motion: str | None = None
         self._feed: float | None = None
         self._state = np.array([UNKNOWN, UNKNOWN, UNKNOWN, 0], dtype=np.int64)
@@ -83,17 +85,27 @@ class ProgramWriter:
     ) -> bytes:
         """Write tape mark, name and remarks, then the first blocks: modes, way up, trace, spindle, coolant."""
         post, setup = self.post, setup or ProgramSetup()
+        self._tool = setup.tool
         first, *further = setup.spindle_steps(rpm, dwell_s=post.spindle_dwell_s)
         values: dict[str, object] = {"number": program, "blend": self._blend(setup), **self._heights(setup, safe_z_mm)}
+        values["tool"] = setup.tool
         values |= {"offset": f"G{53 + setup.work_offset}", "offset_number": setup.work_offset}
         begin, zero = {**values, **self._spin(*first)}, post.zero.format(**values)
+        if setup.tool:
+            offset = post.name_offset(setup.work_offset)
+            zero = f"zero: {offset}, T{setup.tool} with its length H{setup.tool} in the control's table"
         self._raised = setup.top_z_mm is not None
         return b"".join(
             [
                 self._write_templates(post.tape, values),
-                *(post.remark(remark) for remark in (*remarks, zero, _describe_beginning(setup, safe_z_mm)) if remark),
-                self._write_templates((*post.start, self._way_up(setup)), begin),
+                *(
+                    post.remark(remark)
+                    for remark in (*remarks, zero, *_describe_beginning(post, setup, safe_z_mm))
+                    if remark
+                ),
+                self._write_templates((*post.start, *self._change(setup), self._first_way_up(setup)), begin),
                 *(piece for path in trace for piece in self.write(path)),
+                self._write_templates((post.stop,) if setup.optional_stop else (), begin),
                 self._write_templates(post.spin, begin),
                 *(self._write_templates(post.faster or post.spin, self._spin(*step)) for step in further),
                 self._write_templates(_on(post, setup), {}),
@@ -110,20 +122,34 @@ class ProgramWriter:
     def _way_up(self, setup: ProgramSetup) -> str:
         return self.post.lift if setup.top_z_mm is None else self.post.top
 
+    def _change(self, setup: ProgramSetup) -> tuple[str, ...]:
+        return self.post.change if setup.tool else ()
+
+    def _first_way_up(self, setup: ProgramSetup) -> str:
+        """Return the first block with Z; the tool's length belongs to the first in the work frame."""
+        if setup.tool and setup.top_z_mm is None:
+            return self.post.lift.replace("Z", f"{self.post.length}Z")
+        return self._way_up(setup)
+
     def _heights(self, setup: ProgramSetup, safe_z_mm: float) -> dict[str, object]:
         top_mm = setup.top_z_mm
-        return {"safe_z": self._number(safe_z_mm), "top": "" if top_mm is None else self._number(top_mm)}
+        self._safe_z = self._length(safe_z_mm)
+        return {"safe_z": self._safe_z, "top": "" if top_mm is None else self._length(top_mm)}
 
     def _blend(self, setup: ProgramSetup) -> str:
         tolerance_mm = self.post.usual_blend_mm if setup.blend_tolerance_mm is None else setup.blend_tolerance_mm
         rounded, stopped = self.post.blend
-        return rounded.format(tolerance=number(tolerance_mm)) if tolerance_mm > 0 else stopped
+        tolerance = number(tolerance_mm / self.post.unit_mm, decimals=4 if self.post.unit_mm == 1.0 else 6)
+        return rounded.format(tolerance=tolerance) if tolerance_mm > 0 else stopped
 
     def _spin(self, rpm: float, dwell_s: float) -> dict[str, object]:
         return {"rpm": number(rpm), "dwell_s": self._number(dwell_s), "whole_dwell_s": f"{math.ceil(dwell_s)}"}
 
     def _number(self, value: float) -> str:
         return number(value, self.post.least_decimals)
+
+    def _length(self, value_mm: float) -> str:
+        return self._number(value_mm / self.post.unit_mm)
 
     def _write_templates(self, templates: tuple[str, ...], values: dict[str, object]) -> bytes:
         self._motion, self._feed = None, None  # the modes after the templates are not tracked
@@ -149,14 +175,19 @@ class ProgramWriter:
         """Write the move across to the start of a path, at the height of the raised head."""
         self._raised, self._motion = False, self.post.rapid
         over_mm = path.points_mm[:1]
-        self._state[2] = math.floor(over_mm[0, 2] * 10**self.post.z_decimals + 0.5)  # as if reached: no Z is written
+        # As if reached: no Z is written.
+        self._state[2] = math.floor(over_mm[0, 2] / self.post.unit_mm * 10**self.post.z_decimals + 0.5)
         text = self._lines(over_mm, self.post.rapid, "")
         self._state[2] = UNKNOWN
-        return text
+        if not self._tool:
+            return text
+        down = f"{self.post.rapid}{self.post.length}Z{self._safe_z}".format(tool=self._tool)
+        self._state[2] = math.floor(float(self._safe_z) * 10**self.post.z_decimals + 0.5)
+        return text + self.post.block(down)
 
     def _lines(self, points_mm: Array, opening: str, closing: str) -> bytes:
         size, _ = write_lines(
-            np.ascontiguousarray(points_mm),
+            np.ascontiguousarray(points_mm / self.post.unit_mm),
             self._state,
             self._decimals,
             self._letters,
@@ -172,12 +203,18 @@ class ProgramWriter:
 
     def _feed_word(self, feed_mm_per_min: float) -> str:
         scale = 10**self.post.feed_decimals
-        units = max(1, math.floor(feed_mm_per_min * scale + 1e-6))
+        units = max(1, math.floor(feed_mm_per_min / self.post.unit_mm * scale + 1e-6))
         return self.post.feed + number(units / scale, self.post.least_decimals if self.post.feed_decimals else 0)
 
 
-def _describe_beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
-    """Describe where the tool may be when the program begins."""
+def _describe_beginning(post: Post, setup: ProgramSetup, safe_z_mm: float) -> Iterator[str]:
+    """Describe the unit, and where the tool may be when the program begins."""
+    if post.unit_mm != 1.0:
+        yield "all words of this program in inches"
+    yield _describe_place(setup, safe_z_mm)
+
+
+def _describe_place(setup: ProgramSetup, safe_z_mm: float) -> str:
     if setup.top_z_mm is None:
         return f"start: with the tool over the block, or not above Z{safe_z_mm:g}, where it goes first"
     return f"start: homed, from anywhere: up to machine Z{setup.top_z_mm:g}, across, down; ends up there"

@@ -7,14 +7,25 @@ One compiled pass over the bytes keeps the whole modal state; a chunk boundary m
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cam.reading import gcode_parse, rml_parse
-from cam.reading.gcode_languages import ALLOWED, GRBL, LANGUAGES, LONG, REFUSALS, Language, ProgramError
+from cam.reading.gcode_languages import (
+    ALLOWED,
+    GRBL,
+    LANGUAGES,
+    LONG,
+    REFUSALS,
+    WRONG_WORD,
+    Language,
+    ProgramError,
+)
 from optics.heightfield import Array
+from phrases.phrase import Phrase
 
 __all__ = [
     "ALLOWED",
@@ -29,6 +40,7 @@ __all__ = [
 
 LINE_LIMIT = 79  # bytes before the line end that GRBL 1.1 holds; more than any control needs
 BATCH_BYTES = 4 << 20
+_WORD = re.compile(r"[A-Za-z]\s*[-+]?\s*[\d.]*")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,6 +98,7 @@ def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> I
     bytes_read = lines_read = 0
     for chunks in parts:
         state[3 : gcode_parse.OFFSET] = state[gcode_parse.LINE] = 0.0
+        state[gcode_parse.TOOL], state[gcode_parse.LOWERED], state[gcode_parse.GONE] = -1.0, 0.0, 0.0
         state[gcode_parse.UNIT], state[gcode_parse.ABSOLUTE], state[gcode_parse.MOTION] = 1.0, 1.0, -1.0
         for batch in _batches(chunks, language, state):
             yield replace(batch, line=batch.line + lines_read, lines_read=batch.lines_read + lines_read,
@@ -139,14 +152,18 @@ def _read_batch(
     bytes_read: int,
 ) -> tuple[MoveBatch, int]:
     raw = np.frombuffer(buffer, dtype=np.uint8)[start:]
-    room = buffer.count(b"\n", start) + 64
+    room = buffer.count(b"\n", start) + 64 + gcode_parse.MOST_CHORDS
     points = np.empty((room + 1, 3))
     rapid, spindle = np.zeros(room, dtype=np.bool_), np.zeros(room)
     feed, pause, line = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
     used, n, code, bad = parse(raw, state, rules, gcode_parse.POWERS, points, rapid, feed, line, spindle, pause)
     end = buffer.find(b"\n", start + bad)
     if code and end >= 0:  # a line without its end is judged when the rest of it has come
-        raise ProgramError(int(state[gcode_parse.LINE]) + 1, buffer[start + bad : end], REFUSALS[code])
+        line_text, reason = buffer[start + used : end], REFUSALS[code]
+        if code == WRONG_WORD:
+            word = _WORD.findall(buffer[start + used : start + bad].decode("ascii", "replace"))[-1]
+            reason = Phrase("{word} is not allowed here; allowed: {words}", word=word, words=ALLOWED)
+        raise ProgramError(int(state[gcode_parse.LINE]) + 1, line_text, reason)
     batch = MoveBatch(
         points_mm=points[: n + 1],
         is_rapid=rapid[:n],

@@ -13,7 +13,7 @@ from cam.errors import CamError
 from phrases.phrase import Phrase
 
 ALLOWED = (
-    "G0 G1 G4 G17 G20 G21 G40 G49 G53 to G59 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
+    "G0 to G4 G17 G20 G21 G28 G40 G43 G49 G53 to G59 G80 G90 G91 G94, M0 to M3 M5 to M9 M30, F H I J N P R S T X Y Z, "
     "comments in ( ) and after ;"
 )
 ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
@@ -52,7 +52,13 @@ ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
     BAD_OFFSET,
     OFFSET_CHANGES,
     RAISED_WRONG,
-) = range(1, 34)
+    TOOL_LATE,
+    NO_TOOL,
+    HOME_MIDDLE,
+    BLIND_ARC,
+    BAD_ARC,
+    HUGE_ARC,
+) = range(1, 40)
 
 REFUSALS = {
     LONG: Phrase("a line may have at most 79 characters"),
@@ -71,9 +77,21 @@ REFUSALS = {
     NO_SPEED: Phrase("M3 needs a speed: give S above 0 rpm on this line or before"),
     AFTER_END: Phrase("nothing may follow M2 or M30"),
     PERCENT: Phrase("no % marks in this dialect (GRBL answers error:1); delete the line"),
-    ARC: Phrase("arcs (G2, G3) are not read; write them as short G1 lines"),
+    ARC: Phrase("an arc needs its plane's end and I, J or R, in G17"),
     DWELL_MOVES: Phrase("G4 must stand alone, without a motion"),
     GROUP_TWICE: Phrase("two words of one modal group on the line (such as G0 and G1)"),
+    TOOL_LATE: Phrase(
+        "a tool change or a tool's length in the middle is not read: check one program for each tool, with T, M6 and "
+        "G43 H before the first move"
+    ),
+    NO_TOOL: Phrase("M6 needs T, and G43 needs H, on this line or before"),
+    HOME_MIDDLE: Phrase(
+        "what follows G28, or a raised head, in the middle of a program is not read: where the tool stands is known to "
+        "the control only"
+    ),
+    BLIND_ARC: Phrase("an arc needs a known start: give X, Y and Z before it"),
+    BAD_ARC: Phrase("start and end of the arc are not equally far from its centre"),
+    HUGE_ARC: Phrase("an arc of more than 20 000 chords is not read"),
     USELESS_P: Phrase("P belongs to G4"),
     PERCENT_PLACE: Phrase("% must stand alone, on the first line of the program and after its end"),
     BAD_NAME: Phrase(
@@ -84,7 +102,7 @@ REFUSALS = {
     ),
     DECIMALS_LEFT_OUT: Phrase("more decimals than this control takes"),
     TWO_DIGITS_ONLY: Phrase("this control takes G and M words with two digits only (G01, not G1)"),
-    USELESS_WORD: Phrase("H belongs to G15 and G16, Q to G64 or G5.1"),
+    USELESS_WORD: Phrase("H belongs to G43, or to G15, G16 and G56; Q to G64 or G5.1; I, J and R to G2 and G3"),
     RAISED_WRONG: Phrase(
         "machine coordinates are allowed only for G0 Z, absolute (G90), to raise the head before it moves across"
     ),
@@ -114,7 +132,7 @@ class ProgramError(CamError):
 
 
 DWELL_P, DWELL_X, DWELL_F = range(3)
-TAPE, DWELL, TWO_DIGITS, POINTED, DECIMALS, LETTERS, BLENDS, OFFSETS_BY_H, COOLANT, PRECISE, RULES = range(11)
+TAPE, DWELL, TWO_DIGITS, POINTED, DECIMALS, LETTERS, BLENDS, OFFSETS_BY_H, COOLANT, PRECISE, TOOLS, RULES = range(12)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,10 +144,11 @@ class Language:
     dwell         : G4 by P or by F in seconds, or by X in seconds
     two_digits    : G01, not G1
     pointed       : letters whose numbers need a decimal point
-    most_decimals : more would be cut off, or refused
+    most_decimals : more would be cut off, or refused; one more in inches
     blends        : G64 P Q, and G61.1
     coolant       : M7, M8, M9
     precise       : G5.1 Q and G8 P, 1 for on and 0 for off
+    tools         : T and M6 change tools, G43 H takes a length from the table (G56 H where offsets are by H)
     offsets_by_h  : the work offset is G15 H, not G54, and machine coordinates for one block G16 H0, not G53
     digit_mm      : the finest height that it can state
     """
@@ -144,6 +163,7 @@ class Language:
     blends: bool = False
     coolant: bool = True
     precise: bool = False
+    tools: bool = False
     offsets_by_h: bool = False
     digit_mm: float = 1e-5
 
@@ -152,9 +172,14 @@ class Language:
         rules = np.zeros(RULES, dtype=np.int64)
         rules[TAPE], rules[DWELL], rules[TWO_DIGITS] = self.tape, self.dwell, self.two_digits
         rules[POINTED], rules[DECIMALS] = _bits(self.pointed), self.most_decimals
-        rules[LETTERS] = _bits("FNPSXYZ" + "Q" * (self.blends or self.precise) + "H" * self.offsets_by_h)
+        rules[LETTERS] = _bits(
+            "FIJNPRSXYZ"
+            + "T" * self.tools
+            + "Q" * (self.blends or self.precise)
+            + "H" * (self.offsets_by_h or self.tools)
+        )
         rules[BLENDS], rules[OFFSETS_BY_H] = self.blends, self.offsets_by_h
-        rules[COOLANT], rules[PRECISE] = self.coolant, self.precise
+        rules[COOLANT], rules[PRECISE], rules[TOOLS] = self.coolant, self.precise, self.tools
         return rules
 
 
@@ -169,14 +194,24 @@ LANGUAGES: dict[str, Language] = {
         GRBL,
         Language(name="grblhal"),
         Language(name="fluidnc"),
-        Language(name="linuxcnc", tape=True, blends=True),
-        Language(name="fanuc", tape=True, dwell=DWELL_X, pointed="XYZ", most_decimals=3, precise=True, digit_mm=0.001),
+        Language(name="linuxcnc", tape=True, blends=True, tools=True),
+        Language(
+            name="fanuc",
+            tape=True,
+            dwell=DWELL_X,
+            pointed="XYZIJR",
+            most_decimals=3,
+            precise=True,
+            tools=True,
+            digit_mm=0.001,
+        ),
         Language(
             name="okuma",
             tape=True,
             dwell=DWELL_F,
-            pointed="XYZF",
+            pointed="XYZIJRF",
             most_decimals=3,
+            tools=True,
             offsets_by_h=True,
             digit_mm=0.001,
         ),
@@ -184,7 +219,7 @@ LANGUAGES: dict[str, Language] = {
             name="roland-nc",
             tape=True,
             two_digits=True,
-            pointed="XYZF",
+            pointed="XYZIJRF",
             most_decimals=3,
             coolant=False,
             digit_mm=0.001,

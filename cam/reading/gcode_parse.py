@@ -9,12 +9,14 @@ from cam.reading.gcode_languages import (
     AFTER_END,
     ALONE,
     ARC,
+    BAD_ARC,
     BAD_DWELL,
     BAD_FEED,
     BAD_NAME,
     BAD_OFFSET,
     BLENDS,
     BLIND,
+    BLIND_ARC,
     COOLANT,
     DECIMALS,
     DECIMALS_LEFT_OUT,
@@ -23,6 +25,8 @@ from cam.reading.gcode_languages import (
     DWELL_MOVES,
     DWELL_X,
     GROUP_TWICE,
+    HOME_MIDDLE,
+    HUGE_ARC,
     LETTERS,
     LONG,
     NEEDS_POINT,
@@ -31,6 +35,7 @@ from cam.reading.gcode_languages import (
     NO_MOTION,
     NO_NUMBER,
     NO_SPEED,
+    NO_TOOL,
     OFFSET_CHANGES,
     OFFSETS_BY_H,
     OPEN_COMMENT,
@@ -41,6 +46,8 @@ from cam.reading.gcode_languages import (
     RAISED_WRONG,
     REPEATED,
     TAPE,
+    TOOL_LATE,
+    TOOLS,
     TWO_DIGITS,
     TWO_DIGITS_ONLY,
     USELESS_P,
@@ -48,10 +55,19 @@ from cam.reading.gcode_languages import (
     WRONG_WORD,
 )
 
-# Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:
+# Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 to 3 for G0 to G3 (-1:
 # none yet), spindle on, end seen, seconds dwelt before the position was known, % marks seen, work offset from 1 (0: not
-# named yet), head raised in machine coordinates, lines read.
-X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, RAISED, LINE = range(15)
+# named yet), head raised in machine coordinates, tool (-1: none named), a Z of the work frame reached, then gone to a
+# place that only the control knows, lines read.
+(
+    X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, RAISED, TOOL, LOWERED,
+    GONE, LINE,
+) = range(18)  # fmt: skip
+ARC_TOLERANCE_MM = 0.0005
+MOST_CHORDS = 20_000
+_AXES = 7 << 23
+_ARC_WORDS = 1 << 8 | 1 << 9 | 1 << 17  # I, J, R
+_T, _H = 1 << 19, 1 << 7
 POWERS = 10.0 ** np.arange(19)
 
 
@@ -69,6 +85,48 @@ def record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, paus
 
 
 @njit(cache=True, nogil=True)
+def record_arc(n, state, target, i, j, r, clockwise, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
+    """Record an arc in X and Y, or a helix, as chords within ARC_TOLERANCE_MM; return n, or minus a refusal's code.
+
+    i, j : centre from the start; r : radius, above 0 for the shorter way, below for the longer; 0 where i, j count
+    """
+    dx, dy = target[0] - state[X], target[1] - state[Y]
+    if r != 0.0:
+        rest = 4.0 * r * r - dx * dx - dy * dy
+        way = np.hypot(dx, dy)
+        if way == 0.0 or rest < -1e-6 * r * r:
+            return -BAD_ARC
+        h = np.sqrt(max(rest, 0.0)) / way
+        if clockwise == (r > 0.0):
+            h = -h
+        i, j = 0.5 * (dx - dy * h), 0.5 * (dy + dx * h)
+    radius = np.hypot(i, j)
+    differ = abs(np.hypot(dx - i, dy - j) - radius)
+    if radius == 0.0 or differ > max(0.005, 0.001 * radius):
+        return -BAD_ARC
+    centre_x, centre_y = state[X] + i, state[Y] + j
+    angle = np.arctan2(-j, -i)
+    sweep = np.arctan2(-i * (dy - j) + j * (dx - i), -i * (dx - i) - j * (dy - j))
+    if clockwise and sweep > -5e-7:
+        sweep -= 2.0 * np.pi
+    if not clockwise and sweep < 5e-7:
+        sweep += 2.0 * np.pi
+    chords = int(np.ceil(abs(sweep) / (2.0 * np.sqrt(2.0 * min(ARC_TOLERANCE_MM / radius, 0.5)))))
+    if chords > MOST_CHORDS:
+        return -HUGE_ARC
+    z = state[Z]
+    for k in range(1, chords + 1):
+        share = k / chords
+        state[X] = centre_x + radius * np.cos(angle + share * sweep)
+        state[Y] = centre_y + radius * np.sin(angle + share * sweep)
+        state[Z] = z + share * (target[2] - z)
+        if k == chords:
+            state[:3] = target
+        n = record(n, state, False, -1.0, points, rapid, feed, line, spindle, pause)
+    return n
+
+
+@njit(cache=True, nogil=True)
 def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
     """Parse all whole lines of raw into moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
     letters, pointed_letters, most_decimals = rules[LETTERS], rules[POINTED], rules[DECIMALS]
@@ -76,8 +134,9 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
     n = 0
     at = 0
     size = raw.size
-    room = feed.size - 2
+    room = feed.size - 2 - MOST_CHORDS
     values = np.zeros(26)
+    arc_end = np.empty(3)
     for d in range(3):
         points[0, d] = state[d]
     while n < room:
@@ -95,6 +154,10 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         g_offset = False
         offset = 0
         g_machine = False  # Z in machine coordinates, for this line
+        g_home = False  # G28
+        g_length = False  # G43, or G56 where offsets are by H
+        m_change = False
+        m_stop = False
         percent = False
         m_spindle = -1
         m_end = False
@@ -170,7 +233,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 return begin, n, NO_NUMBER, begin
             if (pointed_letters >> letter) & 1 and not pointed:
                 return begin, n, NEEDS_POINT, begin
-            if decimals > most_decimals:
+            if decimals > most_decimals + (1 if g_unit > 1.0 or (g_unit == 0.0 and state[UNIT] > 1.0) else 0):
                 return begin, n, DECIMALS_LEFT_OUT, begin
             value = mantissa / powers[decimals]
             if negative:
@@ -180,9 +243,9 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
             if letter == 6:  # G
                 code = int(np.rint(value * 10.0))
                 if abs(value * 10.0 - code) > 1e-9:
-                    return begin, n, WRONG_WORD, begin
+                    return begin, n, WRONG_WORD, p
                 group = 0
-                if code == 0 or code == 10:
+                if code == 0 or code == 10 or code == 20 or code == 30:
                     g_motion = code // 10
                     group = 1
                 elif code == 40:
@@ -211,6 +274,12 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 elif code == (160 if rules[OFFSETS_BY_H] else 530):
                     g_machine = True
                     group = 2
+                elif code == 280:
+                    g_home = True
+                    group = 2
+                elif code == (560 if rules[OFFSETS_BY_H] else 430) and rules[TOOLS]:
+                    g_length = True
+                    group = 1024
                 elif code == 640 and rules[BLENDS]:
                     g_blend = True
                     group = 512
@@ -226,10 +295,8 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                     group = 64
                 elif code == 400 or code == 490 or code == 800:
                     group = 0
-                elif code == 20 or code == 30:
-                    return begin, n, ARC, begin
                 else:
-                    return begin, n, WRONG_WORD, begin
+                    return begin, n, WRONG_WORD, p
                 if groups & group:
                     return begin, n, GROUP_TWICE, begin
                 groups |= group
@@ -245,8 +312,14 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                     group = 256
                 elif (value == 7.0 or value == 8.0 or value == 9.0) and rules[COOLANT]:
                     group = 0
+                elif value == 6.0 and rules[TOOLS]:
+                    m_change = True
+                    group = 2048
+                elif value == 0.0 or value == 1.0:
+                    m_stop = True
+                    group = 256
                 else:
-                    return begin, n, WRONG_WORD, begin
+                    return begin, n, WRONG_WORD, p
                 if groups & group:
                     return begin, n, GROUP_TWICE, begin
                 groups |= group
@@ -257,7 +330,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 seen |= 1 << letter
                 values[letter] = value
             else:
-                return begin, n, WRONG_WORD, begin
+                return begin, n, WRONG_WORD, p
         if not closed:
             break
         stop = p
@@ -276,10 +349,20 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         if seen & ~(1 << 13 | 1 << 14):  # anything but an N word and a name
             if state[ENDED]:
                 return begin, n, AFTER_END, begin
-            if (seen & (1 << 7) and not (g_offset or g_machine)) or (
-                seen & (1 << 16) and not (g_blend or g_contour)
-            ):  # H, Q
+            motion = g_motion if g_motion >= 0 else state[MOTION]
+            if (
+                (seen & _H and not (g_offset or g_machine or g_length))
+                or (seen & (1 << 16) and not (g_blend or g_contour))  # Q
+                or (seen & _ARC_WORDS and motion < 2)
+            ):
                 return begin, n, USELESS_WORD, begin
+            if seen & _T:
+                state[TOOL] = values[19]
+            if m_change or g_length:
+                if state[LOWERED]:
+                    return begin, n, TOOL_LATE, begin
+                if (m_change and state[TOOL] < 0.0) or (g_length and not seen & _H):
+                    return begin, n, NO_TOOL, begin
             if (g_contour or g_ahead) and seen & ~(1 << 13) != (1 << 6 | 1 << (16 if g_contour else 15)):
                 return begin, n, ALONE, begin
             if (g_contour or g_ahead) and not 0.0 <= values[16 if g_contour else 15] <= 1.0:
@@ -302,6 +385,14 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                     return begin, n, RAISED_WRONG, begin
                 axes = 0
                 state[RAISED] = 1.0
+            if g_home:  # over the point given, and on to a place that only the control knows
+                state[GONE] = state[LOWERED]
+                state[RAISED] = 1.0
+                axes = 0
+            if state[GONE] and (axes or g_motion >= 0):
+                return begin, n, HOME_MIDDLE, begin
+            if m_stop:
+                halt = max(halt, 0.0)
             if g_dwell:  # its seconds: a word that means something else without G4
                 if rules[DWELL] == DWELL_X:
                     if axes != 1 << 23:
@@ -351,12 +442,33 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
             if axes:
                 if state[MOTION] < 0.0:
                     return begin, n, NO_MOTION, begin
-                is_cut = state[MOTION] == 1.0
+                if axes & (1 << 25):
+                    state[LOWERED] = 1.0
+                is_cut = state[MOTION] >= 1.0
+                is_arc = state[MOTION] >= 2.0
                 if is_cut and not state[FEED] > 0.0:
                     return begin, n, NO_FEED, begin
                 known = not np.isnan(state[X] + state[Y] + state[Z])
+                if is_arc:
+                    if not known:
+                        return begin, n, BLIND_ARC, begin
+                    if not seen & _ARC_WORDS or (seen & (1 << 17) and seen & (1 << 8 | 1 << 9)):
+                        return begin, n, ARC, begin
+                    for d in range(3):
+                        arc_end[d] = state[d]
+                        if seen & (1 << (23 + d)):
+                            arc_end[d] = values[23 + d] * state[UNIT] + (0.0 if state[ABSOLUTE] else state[d])
+                    i = values[8] * state[UNIT] if seen & (1 << 8) else 0.0
+                    j = values[9] * state[UNIT] if seen & (1 << 9) else 0.0
+                    r = values[17] * state[UNIT] if seen & (1 << 17) else 0.0
+                    n = record_arc(
+                        n, state, arc_end, i, j, r, state[MOTION] == 2.0, points, rapid, feed, line, spindle, pause
+                    )
+                    if n < 0:
+                        return begin, 0, -n, begin
+                    axes = 0
                 moved = False
-                for d in range(3):
+                for d in range(3 if axes else 0):
                     if seen & (1 << (23 + d)):
                         target = values[23 + d] * state[UNIT]
                         if not state[ABSOLUTE]:
@@ -371,7 +483,9 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 if not known:
                     for d in range(3):
                         points[n, d] = state[d]
-                if moved and known:
+                if is_arc:
+                    pass
+                elif moved and known:
                     n = record(n, state, not is_cut, -1.0, points, rapid, feed, line, spindle, pause)
                 elif state[DWELT] > 0.0 and not np.isnan(state[X] + state[Y] + state[Z]):
                     n = record(n, state, False, state[DWELT], points, rapid, feed, line, spindle, pause)

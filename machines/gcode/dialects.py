@@ -8,7 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from machines.gcode import refusals
-from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MACHINE_BY_H, MOVES_FRAME, OFFSET_BY_H
+from machines.gcode.language import (
+    ACCEPT,
+    CHANGE,
+    DWELL_BY_F,
+    DWELL_MS,
+    LENGTH_BY_H,
+    MACHINE_BY_H,
+    MOVES_FRAME,
+    OFFSET_BY_H,
+)
 from phrases.phrase import Phrase
 
 RML = "rml-1"  # not a dialect of G-code but Roland's own language: its programs are sent unchanged
@@ -132,11 +141,11 @@ _MORE_OFFSETS = _g(MOVES_FRAME, (59.1, 59.2, 59.3))
 _CNC_OWN = (
     *_NOT_HERE,
     *_g(ACCEPT, (64, 61.1, 97, 50, 69, 95.1), "PQ"),
-    *_m(MOVES_FRAME, (6,)),
+    *_m(CHANGE, (6,)),
     *_m(ACCEPT, (48, 49, 19, 60)),
 )
 _PRECISE = (*_g(ACCEPT, (5.1,), "Q"), *_g(ACCEPT, (8,), "P"))  # high-precision modes, on and off
-_LENGTHS = _g(MOVES_FRAME, (43, 44), "HZ")
+_LENGTHS = (*_g(LENGTH_BY_H, (43,), "H"), *_g(MOVES_FRAME, (44,), "HZ"))
 # Words that GRBL and LinuxCNC share, and that controls of other families lack or use differently.
 _NOT_ON_ISO = _g(-refusals.NOT_HERE, (28.1, 30.1, 38.2, 38.3, 38.4, 38.5, 43.1, 91.1, 92.1))
 
@@ -166,7 +175,7 @@ DIALECTS: dict[str, Dialect] = {
             name="okuma", title="Okuma OSP", line_limit=157, n_limit=99_999_999, percent=True, named=True,
             needs_point="XYZIJKRF",
             own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(OFFSET_BY_H, (15,), "H"), *_g(MACHINE_BY_H, (16,), "H"),
-                 *_g(MOVES_FRAME, (56,), "H"),
+                 *_g(LENGTH_BY_H, (56,), "H"),
                  *_g(DWELL_BY_F, (4,), "F"), *_g(ACCEPT, (30,), "P"),
                  *_g(-refusals.OSP_OFFSETS, (10, 43, 44, 49, 53, 54, 55, 57, 58, 59))),
         ),

@@ -28,7 +28,11 @@ NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30.
 WAITS, WITHHOLDS, ENDS, WRITES = 1, 2, 4, 8
 STATED_UNITS, STATED_DISTANCE = 1, 2
 # Effects of a dialect's own word.
-ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H, MACHINE_BY_H = range(1, 7)  # the last: H0 is what G53 is
+# MACHINE_BY_H: H0 is what G53 is. LENGTH_BY_H, CHANGE: a length from the control's table, and a tool.
+ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H, MACHINE_BY_H, LENGTH_BY_H, CHANGE = range(1, 9)
+# Values of SHIFTED: the program has moved its frame; or it has only taken its tool, and the tool's length, before its
+# first Z, so that Z0 is still that of the work offset.
+MOVED, TOOL_TAKEN = 1.0, 2.0
 M2_READ, TAPE_ENDED = 1, 2  # bits of ENDED
 
 _F, _H, _I, _J, _K, _L, _N, _O, _P, _R, _S, _T = (1 << (ord(letter) - 65) for letter in "FHIJKLNOPRST")
@@ -68,6 +72,7 @@ def execute_block(
     length_word = -1
     wcs = state[WCS]
     moves_frame = False
+    takes_tool = False
     dwell = 0
     for k in range(n_g):
         code = g[k]
@@ -83,15 +88,17 @@ def execute_block(
             if action == MACHINE_BY_H and seen & _H and values[7] == 0.0:
                 bit = 2
                 single = 530
-            elif action in (MOVES_FRAME, MACHINE_BY_H):
+            elif action in (MOVES_FRAME, MACHINE_BY_H) or (action == LENGTH_BY_H and state[2] == state[2]):
                 moves_frame = True
+            elif action == LENGTH_BY_H:
+                takes_tool = True
             elif action == OFFSET_BY_H:  # 1 to 6 are G54 to G59 elsewhere
                 h = values[7] if seen & _H else 0.0
-                if 1.0 <= h <= 6.0 and h == math.floor(h) and state[SHIFTED] == 0.0:
+                if 1.0 <= h <= 6.0 and h == math.floor(h) and state[SHIFTED] != MOVED:
                     wcs = 53.0 + h
                 else:
                     moves_frame = True
-            elif action >= DWELL_MS:
+            elif action in (DWELL_MS, DWELL_BY_F):
                 dwell = action
         if code == 0 or code == 10 or code == 20 or code == 30 or 382 <= code <= 385 or code == 800:
             bit = 1
@@ -145,8 +152,10 @@ def execute_block(
                 used |= own[j][2]
         if action < 0:
             return -action
-        if action == MOVES_FRAME:
+        if action == MOVES_FRAME or (action == CHANGE and state[2] == state[2]):
             moves_frame = True
+        elif action == CHANGE:
+            takes_tool = True
         if code == 0 or code == 10:
             bit = 4096
             flags |= WITHHOLDS | WAITS
@@ -218,8 +227,10 @@ def execute_block(
         state[WCS] = wcs
         for d in range(3):
             state[d] = nan
+    if takes_tool and state[SHIFTED] == 0.0:
+        state[SHIFTED] = TOOL_TAKEN
     if moves_frame:
-        state[SHIFTED] = 1.0
+        state[SHIFTED] = MOVED
         for d in range(3):
             state[d] = nan
 
@@ -239,11 +250,11 @@ def execute_block(
             return refusals.G43_AXES
         state[Z] += state[TLO] - values[25] * mm
         state[TLO] = values[25] * mm
-        state[SHIFTED] = 1.0
+        state[SHIFTED] = MOVED
         used |= _AXES
     elif length_word == 490:
         if state[TLO] != 0.0:
-            state[SHIFTED] = 1.0
+            state[SHIFTED] = MOVED
         state[Z] += state[TLO]
         state[TLO] = 0.0
     if single == 100:
@@ -258,7 +269,7 @@ def execute_block(
             for d in range(3):
                 if (axes >> d) & 1:
                     state[d] = values[23 + d] * mm if values[11] == 20.0 else nan
-        state[SHIFTED] = 1.0
+        state[SHIFTED] = MOVED
         flags |= WRITES | WAITS
     elif single == 920:
         used |= _AXES
@@ -267,7 +278,7 @@ def execute_block(
         for d in range(3):
             if (axes >> d) & 1:
                 state[d] = values[23 + d] * mm
-        state[SHIFTED] = 1.0
+        state[SHIFTED] = MOVED
     elif single == 921:
         for d in range(3):
             state[d] = nan

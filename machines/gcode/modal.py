@@ -35,7 +35,8 @@ class ModalState:
     tool_length_mm    : offset by G43.1 (0 for none)
     position_mm       : of the tool in the work frame of the program; None for an axis the program has not given yet, or
                         has sent to a place only the controller knows (G28, G30, G53, G38, another work offset)
-    shifted           : the program itself moved its frame (G10, G92, G43.1)
+    shifted           : the program itself moved its frame (G10, G92, G43.1), or took a tool's length from the control's
+                        table
     stated            : which of "units" and "distance" the program has said itself
     ended             : M2 or M30 was read
     """
@@ -103,7 +104,7 @@ def vector_of(state: ModalState) -> list[float]:
     vector[language.COOLANT] = float(_COOLANT.index(state.coolant))
     vector[language.TOOL] = -1.0 if state.tool is None else float(state.tool)
     vector[language.TLO] = state.tool_length_mm
-    vector[language.SHIFTED] = float(state.shifted)
+    vector[language.SHIFTED] = language.MOVED if state.shifted else 0.0
     vector[language.ENDED] = float(state.ended)
     vector[language.STATED] = float(sum(bit for name, bit in _STATED if name in state.stated))
     return vector

@@ -41,7 +41,7 @@ def is_spindle_off(state):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, inline="always")
 def row_of(bounds, state):  # type: ignore[no-untyped-def]
     """Return the bounds of the frame that moves are in."""
-    shifted = state[language.SHIFTED] > 0.0
+    shifted = state[language.SHIFTED] == language.MOVED
     return bounds[tally.SHIFTED_ROW if shifted else min(int(state[language.WCS]) - 54, tally.SHIFTED_ROW)]
 
 
@@ -77,7 +77,9 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
     placed = False
     length2 = 0.0
     row = bounds[
-        tally.SHIFTED_ROW if state[language.SHIFTED] > 0.0 else min(int(state[language.WCS]) - 54, tally.SHIFTED_ROW)
+        tally.SHIFTED_ROW
+        if state[language.SHIFTED] == language.MOVED
+        else min(int(state[language.WCS]) - 54, tally.SHIFTED_ROW)
     ]
     for d in range(3):
         value = end[d]
@@ -210,7 +212,7 @@ def note_block(seen, m, n_m, out, line, state, totals, events):  # type: ignore[
         note_event(events, tally.STOPS, line)
     if flags & language.WRITES:
         note_event(events, tally.SETTINGS_WRITTEN, line)
-    if state[language.SHIFTED] > 0.0 and events[tally.FRAME_MOVED, 1] == 0:
+    if state[language.SHIFTED] == language.MOVED and events[tally.FRAME_MOVED, 1] == 0:
         note_event(events, tally.FRAME_MOVED, line)
     for k in range(n_m):
         if m[k] == 70:

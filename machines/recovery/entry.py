@@ -92,7 +92,10 @@ def _entry(reader: ProgramReader, line: int, text: bytes, why: Phrase | None) ->
         words = Phrase("the program is in G91 (incremental) there; start it from its top, or from a G90 version")
         raise NoEntryError(line, words)
     if state.shifted:
-        words = Phrase("the program has moved its own frame (G10, G92 or G43.1) before it; start it from its top")
+        words = Phrase(
+            "the program has moved its own frame (G10, G92, G43.1), or changed its tool and taken its length from the "
+            "control's table (M6, G43 H), before it; start it from its top"
+        )
         raise NoEntryError(line, words)
     if state.ended:
         raise NoEntryError(line, Phrase("the program has ended (M2, M30) before it"))

@@ -110,7 +110,7 @@ def _edges_nm(solid: Any) -> float:
     from OCP.TopoDS import TopoDS
 
     edges = _parts(solid, TopAbs_ShapeEnum.TopAbs_EDGE)
-    return max(1e6 * BRep_Tool.Tolerance_s(TopoDS.Edge_s(edge)) for edge in edges)
+    return max(1e6 * BRep_Tool.Tolerance_s(TopoDS.Edge(edge)) for edge in edges)
 
 
 def _deviation(solid: Any, lens: Heightfield) -> tuple[float, Heightfield]:
@@ -120,7 +120,7 @@ def _deviation(solid: Any, lens: Heightfield) -> tuple[float, Heightfield]:
     from OCP.TopAbs import TopAbs_ShapeEnum
     from OCP.TopoDS import TopoDS
 
-    faces = (TopoDS.Face_s(face) for face in _parts(solid, TopAbs_ShapeEnum.TopAbs_FACE))
+    faces = (TopoDS.Face(face) for face in _parts(solid, TopAbs_ShapeEnum.TopAbs_FACE))
     surfaces = [BRep_Tool.Surface_s(face) for face in faces]
     (surface,) = (one for one in surfaces if type(one).__name__ == "Geom_BSplineSurface")
     point, z_mm = gp_Pnt(), np.empty_like(lens.z_mm)

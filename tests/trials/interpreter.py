@@ -23,8 +23,8 @@ import numpy as np
 from cam.moves import SAFE_Z_MM
 from cam.parts import PartLimits
 from cam.passes import PAPER_PASSES, PassSpec, Stock
-from cam.posts.dialects import POSTS
-from cam.posts.post import ProgramSetup
+from cam.posts.dialects import POSTS, Dialect
+from cam.posts.post import MM_PER_INCH, ProgramSetup
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid
@@ -34,11 +34,14 @@ from tests.benchmarks.timing import Figure
 
 SIDE_MM = 20.0
 COMMAND = "rs274"
-PRINTED_MM = 0.5e-4 + 1e-9
+PRINTED = 0.5e-4 + 1e-9  # mm or inches
+TOOL = 3
 _PLACE = re.compile(rb"STRAIGHT_(?:FEED|TRAVERSE)\((-?[\d.]+), (-?[\d.]+), (-?[\d.]+),")
 _OWN_WORDS = {
     "fanuc": ((rb"^O\d+\n", b""), (rb"^G4X", b"G4P")),
-    "okuma": ((rb"^O\d+\r\n", b""), (rb"^G4F", b"G4P"), (rb"^G15H1", b"G54"), (rb"^G16H0", b"G53")),
+    "okuma": (
+        *((rb"^O\d+\r\n", b""), (rb"^G4F", b"G4P"), (rb"^G15H1", b"G54"), (rb"^G16H0", b"G53"), (rb"G56H", b"G43H")),
+    ),
     "roland-nc": ((rb"^O\d+\r\n", b""),),
 }
 
@@ -50,27 +53,38 @@ def figures() -> Iterator[Figure]:
     for dialect in POSTS:
         if dialect != "rml-1":
             yield _dialect(dialect)
+    for dialect, post in POSTS.items():
+        for units in ("mm", "inch") if post.change else ("inch",) if post.inches else ():
+            yield _dialect(dialect, units=units, as_kept=True)
 
 
-def _dialect(dialect: str) -> Figure:
-    programs, lines, broken = 0, 0, ""
-    for spec, parts in _passes(dialect):
+def _dialect(dialect: str, *, units: str = "mm", as_kept: bool = False) -> Figure:
+    """as_kept: with a tool change, an optional stop and N words as well, where the control has them."""
+    programs, lines, broken, unit_mm = 0, 0, "", MM_PER_INCH if units == "inch" else 1.0
+    post = POSTS[dialect]
+    changes = as_kept and bool(post.change)
+    post = post.adapt(units=units, number_every=1 if changes else None)
+    setup = ProgramSetup(top_z_mm=SAFE_Z_MM, tool=TOOL if changes else 0, optional_stop=changes)
+    for spec, parts in _passes(post, setup):
         ours = _positions_read(dialect, parts)
         theirs = []
         for part in parts:
             places, error = interpreted(part, dialect)
             broken = broken or error
-            theirs.append(places)
+            theirs.append(places * unit_mm)
             programs, lines = programs + 1, lines + part.count(b"\n")
-        off_mm = _deviation_mm(ours, np.vstack(theirs))
-        if off_mm > PRINTED_MM:
+        off_mm = _deviation_mm(ours, np.vstack(theirs), allowed_mm=PRINTED * unit_mm)
+        if off_mm > PRINTED * unit_mm:
             broken = broken or f"{spec.name} {spec.strategy}: a place is off by {off_mm:.5f} mm"
     said = f"{programs} programs accepted, every place as we read it, to the four decimals that are printed"
     own = "; its own words (name, dwell, offset) translated" if dialect in _OWN_WORDS else ""
-    return Figure(f"LinuxCNC's interpreter: {dialect}", lines, "lines", f"BROKEN: {broken}" if broken else said + own)
+    kept = f", {units}{', T M6, G43 H, M1, N' if changes else ''}" if as_kept else ""
+    return Figure(
+        f"LinuxCNC's interpreter: {dialect}{kept}", lines, "lines", f"BROKEN: {broken}" if broken else said + own
+    )
 
 
-def _passes(dialect: str) -> Iterator[tuple[PassSpec, list[bytes]]]:
+def _passes(post: Dialect, raised: ProgramSetup) -> Iterator[tuple[PassSpec, list[bytes]]]:
     """Layers with ramps, rows with lifts, rows along Y in parts, and one contour path, on a small lens."""
     lens = bumps(side_mm=SIDE_MM)
     stock = Stock(width_mm=SIDE_MM, height_mm=SIDE_MM, thickness_mm=20.0, margin_mm=4.0)
@@ -78,14 +92,14 @@ def _passes(dialect: str) -> Iterator[tuple[PassSpec, list[bytes]]]:
     rough, semi, finish = PAPER_PASSES
     skin = lens.spline().extend(4.0).heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.05
     skinned = replace(top, top_mm=np.minimum(skin, top.top_mm))
-    finish, raised = replace(finish, pitch_mm=0.05), ProgramSetup(top_z_mm=SAFE_Z_MM)
+    finish = replace(finish, pitch_mm=0.05)
     for spec, left, limits in (
         (rough, top, None),
         (replace(semi, link="retract", pitch_mm=0.2), skinned, None),
         (replace(finish, direction="y"), skinned, PartLimits(most_bytes=500_000)),
         (replace(finish, strategy="contour"), skinned, None),
     ):
-        made = generate_parts(lens, spec, stock, stock_top=left, post=POSTS[dialect], limits=limits, setup=raised)
+        made = generate_parts(lens, spec, stock, stock_top=left, post=post, limits=limits, setup=raised)
         yield spec, [b"".join(pieces) for pieces in made]
 
 
@@ -102,8 +116,14 @@ def interpreted(program: bytes, dialect: str = "linuxcnc") -> tuple[Array, str]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program.ngc"
         file.write_bytes(program)
+        tools = Path(folder) / "tools.tbl"
+        tools.write_text(f"T{TOOL} P{TOOL} Z0.0 D6.0\n")
         done = subprocess.run(
-            [COMMAND, "-g", str(file)], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, check=False
+            [COMMAND, "-t", str(tools), "-g", str(file)],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
         )
     places = np.array([[float(number) for number in found] for found in _PLACE.findall(done.stdout)]).reshape(-1, 3)
     complaint = "" if done.returncode == 0 and b"PROGRAM_END" in done.stdout else _last_words(done)
@@ -115,7 +135,7 @@ def _last_words(done: subprocess.CompletedProcess[bytes]) -> str:
     return f"exit {done.returncode}: {' '.join(line.strip() for line in lines[-3:])[-200:]}"
 
 
-def _deviation_mm(ours: Array, theirs: Array) -> float:
+def _deviation_mm(ours: Array, theirs: Array, *, allowed_mm: float) -> float:
     """The farthest that a place of theirs is from ours in turn; inf where one has a place that the other has not.
 
     What is said twice, such as a height that is reached already, counts once.
@@ -124,6 +144,6 @@ def _deviation_mm(ours: Array, theirs: Array) -> float:
     for place in theirs.tolist():
         ahead = max(abs(a - b) for a, b in zip(place, ours[k + 1], strict=True)) if k + 1 < len(ours) else np.inf
         here = max(abs(a - b) for a, b in zip(place, ours[k], strict=True))
-        k += ahead <= PRINTED_MM
+        k += ahead <= allowed_mm
         worst = max(worst, min(ahead, here))
     return worst if k == len(ours) - 1 else np.inf

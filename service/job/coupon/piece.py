@@ -8,14 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cam.posts.dialects import POSTS
 from optics.coupon.layout import HALF_MM, HEIGHT_MM, THROW_MM, WIDTH_MM, Coupon
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
 from service.job.spec.loading import load_stored_job, parse_override, resolve_job
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, digits_of
 from service.wording import ball, duration
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
@@ -63,7 +62,7 @@ def coupon_job(
 def coupon_of(job: ResolvedJob) -> Coupon:
     """Make the piece for this mill, wall and material; its ripples are whole steps high, if the mill has steps."""
     spec, machine = job.spec, job.machine
-    digits = POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)
+    digits = digits_of(machine)
     return Coupon(
         throw_mm=spec.optics.throw_mm,
         refractive_index=spec.optics.refractive_index,

@@ -18,11 +18,10 @@ from cam.around.paths import (
 from cam.around.specs import CutOut
 from cam.moves import Array
 from cam.moves import Path as ToolPath
-from cam.posts.dialects import POSTS
 from optics.witness import NoMarksError
 from service.job.files import CUT_OUT, FACE, WITNESS
 from service.job.planning.witness import plan_witness
-from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of
+from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of, post_of
 
 
 def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]]:
@@ -60,5 +59,5 @@ def lens_corners(job: ResolvedJob) -> Array:
 def cut_out_ways(job: ResolvedJob, task: CutOut) -> tuple[Array, Array]:
     """Return corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
     corners = lens_corners(job)
-    digit_mm = POSTS[job.machine.dialect].digits.xy_mm
+    digit_mm = post_of(job.machine).digits.xy_mm
     return corners, offset_loop(corners, task.radius_mm, allowance_mm=ALLOWANCE_MM + digit_mm)

@@ -24,7 +24,6 @@ from cam.planning.planner import Marks
 from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
-from cam.posts.dialects import POSTS
 from cam.surface.tool_surface import compute_left_by_flat
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
@@ -62,7 +61,7 @@ from service.job.spec.lens_task import (
     with_branch,
 )
 from service.job.spec.model import JobSpec, PassRow
-from service.job.spec.resolve import ResolvedJob, cam_passes_of, digits_of, warn_of_removal, with_plan
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, digits_of, post_of, warn_of_removal, with_plan
 from service.job.stages.kept_plans import NO_PLANS, KeptPlans, PlanChoice
 from service.wording import ball, cutter
 
@@ -409,7 +408,7 @@ def _slopes(quick: QuickLens) -> RowSlopes | None:
     machine, finish = quick.job.machine, _find_finish(quick)
     if finish is None:
         return None
-    digit_mm = POSTS[machine.dialect].digits.z_mm
+    digit_mm = post_of(machine).digits.z_mm
     step_mm = max(machine.step_mm, digit_mm)
     return row_slopes(
         radius_mm=finish.radius_mm,

@@ -23,7 +23,6 @@ from cam.planning.planner import (
     time_by_lens,
 )
 from cam.planning.shop import Shop
-from cam.posts.dialects import POSTS
 from cam.tools import Tool
 from machines.profile import MachineProfile
 from optics.heightfield import Array, Heightfield
@@ -45,7 +44,7 @@ from service.job.spec.envelope import envelope_of
 from service.job.spec.finish import BEST
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import ResolvedJob, digits_of, most_removal_mm3_per_min
+from service.job.spec.resolve import ResolvedJob, digits_of, most_removal_mm3_per_min, post_of
 from service.wording import duration
 
 Progress = Callable[[float], None]
@@ -115,7 +114,7 @@ def mill_of(job: ResolvedJob) -> MachineProfile:
 def shop_of(job: ResolvedJob) -> Shop:
     """Return tools, material and mill of a job."""
     machine = mill_of(job)
-    digit_mm = POSTS[machine.dialect].digits.z_mm
+    digit_mm = post_of(machine).digits.z_mm
     optics = job.spec.optics
     narrowest_mm = min(optics.width_mm, optics.height_mm)
     envelope = envelope_of(job.spec, machine)

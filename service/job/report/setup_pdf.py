@@ -144,9 +144,9 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
 
 def _draw_columns(paper: Paper, setup: Mapping[str, Any], top: float) -> None:
     """Draw the block and, below and beside it, all text."""
-    for views, size, most in _tries(setup):
+    for views, size, most, is_full in _tries(setup):
         below = top + sum(map(_height, views))
-        lines = list(_lines(setup, size, most))
+        lines = list(_lines(setup, size, most, is_full=is_full))
         first, second = (int((HEIGHT - _EDGE - start) / (_LEADING * size)) for start in (below, top))
         split = _fill(lines, first)
         if len(lines) <= split + second:
@@ -157,13 +157,16 @@ def _draw_columns(paper: Paper, setup: Mapping[str, Any], top: float) -> None:
     _write(paper, lines[split : split + second], _EDGE + _COLUMN + _GAP, top, size)
 
 
-def _tries(setup: Mapping[str, Any]) -> Iterator[tuple[list[str], float, int]]:
-    """Yield (views, size of the type, number of warnings), from the best layout to the most compact."""
+def _tries(setup: Mapping[str, Any]) -> Iterator[tuple[list[str], float, int, bool]]:
+    """Yield (views, size of the type, number of warnings, all about the work by hand), from the best layout to the most
+    compact.
+    """
     views, count = [str(setup[name]) for name in ("top_view", "side_view") if setup[name]], len(_warnings(setup))
-    yield from ((views, size, count) for size in _sizes(_LARGE, _SMALL))
-    yield from ((views[:1], size, count) for size in _sizes(_LARGE, _SMALL))
-    yield from ((views[:1], _SMALL, most) for most in range(count - 1, -1, -1))
-    yield from ((views[:1], size, 0) for size in _sizes(_SMALL, _SMALLEST))
+    for is_full in (True, False):
+        yield from ((views, size, count, is_full) for size in _sizes(_LARGE, _SMALL))
+        yield from ((views[:1], size, count, is_full) for size in _sizes(_LARGE, _SMALL))
+    yield from ((views[:1], _SMALL, most, False) for most in range(count - 1, -1, -1))
+    yield from ((views[:1], size, 0, False) for size in _sizes(_SMALL, _SMALLEST))
 
 
 def _sizes(largest: float, smallest: float) -> list[float]:
@@ -200,9 +203,9 @@ def _write(paper: Paper, lines: Sequence[_Line], x: float, top: float, size: flo
         paper.write_line(x + indent, y, line.words, size, colour)
 
 
-def _lines(setup: Mapping[str, Any], size: float, most: int) -> Iterator[_Line]:
+def _lines(setup: Mapping[str, Any], size: float, most: int, *, is_full: bool) -> Iterator[_Line]:
     """Yield all text in lines."""
-    for title, mark, items in _sections(setup, most):
+    for title, mark, items in _sections(setup, most, is_full=is_full):
         is_loud = mark == "!"
         if items:
             yield from () if title == "Warnings" else (_Line([]),)
@@ -212,7 +215,7 @@ def _lines(setup: Mapping[str, Any], size: float, most: int) -> Iterator[_Line]:
                 yield _Line(words, "" if k else mark, is_loud=is_loud)
 
 
-def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[str]]]:
+def _sections(setup: Mapping[str, Any], most: int, *, is_full: bool) -> list[tuple[str, str, list[str]]]:
     """Return (title, mark before each sentence, sentences as HTML)."""
     warnings = _warnings(setup)
     more = [f"{len(warnings) - most} more on the setup sheet, report.html."] if most < len(warnings) else []
@@ -221,15 +224,26 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
         ("Stock and zero", "•", _items("stock", setup) if setup["block"] else []),
         ("Before you press start", "☐", _items("start", setup)),
         ("Around the passes", "•", [*map(escape, setup["around"])]),
-        ("Finishing by hand", "•", [*map(escape, _finish_sentences(setup))]),
+        ("Finishing by hand", "•", [*map(escape, _finish_sentences(setup, is_full=is_full))]),
     ]
 
 
-def _finish_sentences(setup: Mapping[str, Any]) -> list[str]:
+def _finish_sentences(setup: Mapping[str, Any], *, is_full: bool) -> list[str]:
     """Return the sentences for the work: the tolerance of the finish, the tool at the rims, how to read the witness
-    marks.
+    marks; where there is room, what is needed, the steps, and when to stop before them.
     """
     card = setup["finishing"] or {}
+    if is_full and card:
+        figures = [f"{what}: {figure}" for what, figure in card["rows"]]
+        work = [
+            card["title"],
+            *figures,
+            *card["needs"],
+            *card["steps"],
+            *filter(None, [card["when_to_stop"]]),
+            *card["donts"],
+        ]
+        return [*work, *_finish_sentences(setup, is_full=False)]
     witness = card.get("witness") or {"rows": [], "sentences": []}
     rows = [f"{when}: {what}" for when, what in witness["rows"]]
     return [*card.get("tolerance", ()), *card.get("rims", ()), *witness["sentences"], *rows]

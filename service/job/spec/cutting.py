@@ -413,6 +413,13 @@ class MachineSpec(Section):
         Literal["none", "g05.1", "g08"] | None,
         _shown("High-precision mode", choices={"none": "none", "g05.1": "G05.1", "g08": "G08"}),
     ] = None
+    tool_change: Annotated[bool | None, _shown("Tool changes", "T, M6 and G43 H (Okuma's G56 H) at the start.")] = None
+    optional_stop: Annotated[bool | None, _shown("Optional stop", "M1, before the spindle turns.")] = None
+    units: Annotated[Literal["mm", "inch"] | None, _shown("Programs in")] = None
+    number_every: Annotated[
+        Annotated[int, _as_in_profile("number_every")] | None,
+        shown("N words", "On every so many-th line.", usual="as the control is used to"),
+    ] = None
     warm_up_s: Annotated[
         Annotated[float, _as_in_profile("warm_up_s"), none_or_from(0.1)] | None,
         _shown("Spindle warm-up", "In the first program, in steps of speed."),

@@ -83,6 +83,13 @@ def known_entries(place: Place) -> dict[str, dict[str, Any]]:
 def _sentence(detail: ErrorDetails) -> Phrase:
     place, kind, value = detail["loc"], detail["type"], detail["input"]
     if kind == "extra_forbidden":
+        radius = str(place[-1]).replace("diameter", "radius")
+        if radius != place[-1] and radius in list_known_keys(place[:-1]) and isinstance(value, int | float):
+            return Phrase(
+                "there is no such key, cutters are given by their radius; did you mean {key} = {value:g}?",
+                key=radius,
+                value=value / 2,
+            )
         return unknown_key(str(place[-1]), list_known_keys(place[:-1]))
     if kind in _NO_TABLE and isinstance(value, str) and (main := _find_main_key(place)):
         key = join_place((*place, main))

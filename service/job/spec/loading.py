@@ -60,7 +60,8 @@ def resolve_job(
     """Resolve the complete job: defaults, then base, then file, then preset, then overrides ('key.key=value').
 
     light_picture is a measured picture of the light, which becomes optics.light.profile; load reads a mill's profile.
-    Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
+    Naming a preset replaces the passes of the base; those of a file it would drop, which is an error. Raises SpecError,
+    one line for each thing that cannot be used.
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
     return complete_job(look_up(validate_spec(data), load))
@@ -100,6 +101,13 @@ def spec_data(
     """Return the plain data that resolve_job validates, merged from all sources."""
     data = _merge(base or {}, read_spec_file(file) if file else {})
     if preset is not None:
+        if file and "passes" in read_spec_file(file):
+            words = Phrase(
+                "{file} lists its passes, and preset '{preset}' has its own; leave out [[passes]] or the preset",
+                file=file.name,
+                preset=preset,
+            )
+            raise SpecError([("passes", words)])
         data = {**data, "preset": preset}
         data.pop("passes", None)
     chosen = [text for text in overrides if text.partition("=")[0].strip() == "preset"]

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
-from math import inf
+from math import ceil, inf
 from typing import Any, cast
 
 from pydantic import TypeAdapter, ValidationError
@@ -21,8 +21,8 @@ from cam.checking.envelope import Reach
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, PassSpec, Stock
-from cam.posts.dialects import POSTS, find_unsupported
-from cam.posts.post import Coolant, Digits, HighPrecision, ProgramSetup
+from cam.posts.dialects import POSTS, Dialect, find_unsupported
+from cam.posts.post import MM_PER_INCH, Coolant, Digits, HighPrecision, ProgramSetup
 from cam.tools import Tool
 from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile, replace_figures
 from phrases.phrase import Phrase
@@ -102,7 +102,11 @@ class ResolvedJob:
             own["whole_steps"] = True  # a finish removes errors that alternate from row to row, not the control's
         own.setdefault("safe_z_mm", safe_z_over_clamps_mm(spec, self.figures.profile.safe_z_mm))
         machine = replace(self.figures.profile, **_changed_figures(self.figures.profile, own))
-        unsupported = find_unsupported(machine.dialect, setup_of(machine))
+        if machine.units == "inch":  # rapids travel at whole tenths of an inch, which every digit can state
+            machine = replace(machine, safe_z_mm=ceil(10 * machine.safe_z_mm / MM_PER_INCH) / 10 * MM_PER_INCH)
+        unsupported = find_unsupported(
+            machine.dialect, setup_of(machine, tool=1), units=machine.units, number_every=machine.number_every
+        )
         problems = [
             (f"machine.{key}", Phrase("{value} is not allowed; allowed: {allowed}", value=value, allowed=allowed))
             for key, value, allowed in unsupported
@@ -145,8 +149,29 @@ def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
     )
 
 
-def setup_of(machine: MachineProfile) -> ProgramSetup:
-    """Return the set-up of programs for this mill: what they switch on before cutting, and off afterwards."""
+def post_of(machine: MachineProfile) -> Dialect:
+    """Return the dialect of programs for this mill, as its shop keeps them."""
+    return POSTS[machine.dialect].adapt(units=machine.units, number_every=machine.number_every)
+
+
+def number_tools(spec: JobSpec) -> dict[tuple[object, ...], int]:
+    """Return the tools of all programs, in the order of their first use, from 1; the keys are those of `tool_key`."""
+    rows = (spec.stock.face, *spec.passes, spec.stock.cut_out)
+    keys = dict.fromkeys(tool_key(row) for row in rows if row is not None)
+    return {key: number for number, key in enumerate(keys, 1)}
+
+
+def tool_key(row: PassRow | FaceSpec | CutOutSpec) -> tuple[object, ...]:
+    """Return what makes one tool of a job another than the next."""
+    names = ("shape", "radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
+    return "ball" if isinstance(row, PassRow) else "flat", *(getattr(row, name, None) for name in names)
+
+
+def setup_of(machine: MachineProfile, *, tool: int) -> ProgramSetup:
+    """Return the set-up of programs for this mill: what they switch on before cutting, and off afterwards.
+
+    tool : its number, where programs change tools
+    """
     return ProgramSetup(
         coolant=cast(Coolant, machine.coolant),
         work_offset=machine.work_offset,
@@ -154,6 +179,8 @@ def setup_of(machine: MachineProfile) -> ProgramSetup:
         high_precision=cast(HighPrecision, machine.high_precision),
         warm_up_s=machine.warm_up_s,
         slowest_rpm=machine.spindle_rpm[0],
+        tool=tool if machine.tool_change else 0,
+        optional_stop=machine.optional_stop,
         top_z_mm=machine.top_z_mm,
     )
 
@@ -442,4 +469,4 @@ def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[
 
 def digits_of(machine: MachineProfile) -> Digits:
     """Return the resolution of the mill's dialect, or whole steps if programs are to use them."""
-    return POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)
+    return post_of(machine).digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)

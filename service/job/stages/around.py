@@ -20,7 +20,6 @@ from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
-from cam.posts.dialects import POSTS
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid
@@ -32,7 +31,16 @@ from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WITNESS, W
 from service.job.planning.around import cut_out_ways, lens_corners
 from service.job.planning.witness import plan_witness
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of, setup_of
+from service.job.spec.resolve import (
+    ResolvedJob,
+    cam_stock_of,
+    cut_out_of,
+    facing_task_of,
+    number_tools,
+    post_of,
+    setup_of,
+    tool_key,
+)
 from service.job.stages.context import StageContext
 from service.job.stages.programs import (
     describe_parts,
@@ -122,7 +130,7 @@ def simulate(
 ) -> AroundCheck:
     """Read the programs back, one after the other, and simulate what they remove from stock_top."""
     machine, stock = job.machine, cam_stock_of(job.spec)
-    texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
+    texts, digits = map(read_chunks, paths), post_of(machine).digits
     mill = CheckedMill(
         kinematics=Kinematics.of(machine),
         safe_z_mm=machine.safe_z_mm,
@@ -157,7 +165,7 @@ def _write(
     trace: tuple[ToolPath, ...] = (),
 ) -> list[WrittenProgram]:
     stock, machine = cam_stock_of(context.spec), context.machine
-    post, setup = POSTS[machine.dialect], setup_of(machine)
+    post, setup = post_of(machine), setup_of(machine, tool=_tool_number(context.spec, task))
     frame = PassFrame(
         remarks=describe_around(task, stock),
         rpm=task.spindle_rpm,
@@ -171,6 +179,13 @@ def _write(
     with context.watch.stage(f"write {name}"):
         parts = programs(paths, post, frame, part_limits_of(machine))
         return write_parts(context.folder, partial(program_name, number, name, post.suffix), parts)
+
+
+def _tool_number(spec: JobSpec, task: Facing | WitnessCut | CutOut) -> int:
+    around = spec.stock.face if isinstance(task, Facing) else spec.stock.cut_out
+    row = spec.passes[-1] if isinstance(task, WitnessCut) else around
+    assert row is not None
+    return number_tools(spec)[tool_key(row)]
 
 
 def _check(

@@ -15,7 +15,6 @@ from cam.as_milled.rows import find_touched_surface, sample_facets, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Screws, Tracks
 from cam.passes import PassSpec
-from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.profile import MachineProfile
 from optics.caustic import Caustic, simulate_caustic
@@ -31,7 +30,7 @@ from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import detail_lost
 from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
-from service.job.spec.resolve import cam_passes_of
+from service.job.spec.resolve import cam_passes_of, post_of
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
 
@@ -120,7 +119,7 @@ def error_of_tips_mm(machine: MachineProfile) -> float:
 
 
 def _decimals(machine: MachineProfile) -> int:
-    return round(-math.log10(POSTS[machine.dialect].digits.z_mm))
+    return round(-math.log10(post_of(machine).digits.z_mm))
 
 
 def _keep_samples(surface: MilledSurface) -> tuple[Callable[[int], Array], dict[int, Array]]:

@@ -18,7 +18,6 @@ from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm
-from cam.posts.dialects import POSTS
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
@@ -41,7 +40,16 @@ from service.job.files import (
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.envelope import require_envelope
-from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, digits_of, setup_of
+from service.job.spec.resolve import (
+    ResolvedJob,
+    cam_passes_of,
+    cam_stock_of,
+    digits_of,
+    number_tools,
+    post_of,
+    setup_of,
+    tool_key,
+)
 from service.job.stages.context import StageContext
 from service.wording import duration
 
@@ -248,8 +256,9 @@ def _write(
 ) -> list[WrittenProgram]:
     """Return the programs of the pass: one, or its parts."""
     machine = context.machine
-    post = POSTS[machine.dialect]
-    setup, is_first = setup_of(machine), context.number == 1 and context.spec.stock.face is None
+    post, row = post_of(machine), context.spec.passes[context.number - 1]
+    setup = setup_of(machine, tool=number_tools(context.spec)[tool_key(row)])
+    is_first = context.number == 1 and context.spec.stock.face is None
     with context.watch.stage(f"write pass {context.number} {spec.name}") as on_progress:
         parts = generate_parts(
             heightfield,

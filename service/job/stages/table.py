@@ -24,7 +24,7 @@ from typing import Any
 
 from service.job.spec.finish import NONE
 from service.job.spec.model import USUAL_ROWS, JobSpec, PassRow
-from service.job.spec.resolve import ResolvedJob, with_plan
+from service.job.spec.resolve import ResolvedJob, number_tools, tool_key, with_plan
 from service.job.stages.order import FileRef, merge_notes, merge_reports
 from service.processes.source_tree import state_of_sources
 
@@ -48,7 +48,11 @@ _KINEMATICS = tuple(
     )
 )  # fmt: skip
 _SETUP = tuple(
-    f"machine.{name}" for name in ("coolant", "work_offset", "blend_tolerance_mm", "high_precision", "top_z_mm")
+    f"machine.{name}"
+    for name in (
+        *("coolant", "work_offset", "blend_tolerance_mm", "high_precision", "top_z_mm", "tool_change", "optional_stop"),
+        *("units", "number_every"),
+    )
 )
 _LIMITS = ("machine.most_program_mb", "machine.most_program_hours")
 _PROGRAMS = ("machine.step_mm", "machine.whole_steps", "finishes", *_LIMITS, *_SETUP)
@@ -156,7 +160,7 @@ _AROUND = "service.job.stages.around"
 _FACE = Stage(
     name="pass-face",
     function=f"{_AROUND}:run_facing",
-    spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
+    spec=("stock.face", "tools_around", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
     parts=(("write", 0.2), ("check", 0.8)),
 )
 _WITNESS = Stage(
@@ -173,7 +177,16 @@ _CUT_OUT = Stage(
     name="pass-cut-out",
     function=f"{_AROUND}:run_cut_out",
     reads=(".stock-last.npz",),
-    spec=("stock.cut_out", "optics.outline", "programs_before_cut_out", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
+    spec=(
+        "stock.cut_out",
+        "tools_around",
+        "optics.outline",
+        "programs_before_cut_out",
+        *_BLOCK,
+        *_KINEMATICS,
+        *_LIMITS,
+        *_SETUP,
+    ),
     parts=(("write", 0.2), ("check", 0.8)),
 )
 _MILLED = (
@@ -374,7 +387,11 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     facts["beginning"] = [warm_up, facts["optics"]["outline"] if facts["machine"]["trace_outline"] else None]
     facts["own_beginning"] = None if facts["faced"] else facts["beginning"]
     facts["programs_before_cut_out"] = len(facts["passes"]) + spec.finish.witnessed
-    for row in facts["passes"]:
+    tools = number_tools(spec) if job.machine.tool_change else {}
+    around = (spec.stock.face, spec.stock.cut_out)
+    facts["tools_around"] = [None if one is None else tools.get(tool_key(one)) for one in around]
+    for row, given in zip(facts["passes"], spec.passes, strict=True):
+        row["tool"] = tools.get(tool_key(given))
         row["last"] = row is facts["passes"][-1] and not spec.goes_on_after_passes
     for number, row in enumerate(facts["passes"], 1):
         row["rest_follows"] = any(later["where"] == "rest" for later in facts["passes"][number:])

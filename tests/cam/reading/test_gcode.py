@@ -77,7 +77,7 @@ def test_dwell_and_spindle_stop_the_motion_for_their_time():
         (APPROACH + "G53 G1 Z-1 F60\n", 4, "machine coordinates"),
         (APPROACH + "G91 G53 G0 Z-1\n", 4, "machine coordinates"),
         ("G53 G0 Z-1\nG1 X1 Y1 F60\n", 2, "position is not known"),
-        (APPROACH + "G2 X1 Y1 I1\n", 4, "arcs"),
+        (APPROACH + "G2 X1 Y1 F100\n", 4, "an arc needs"),
         (APPROACH + "G90.1\n", 4, "allowed"),
         (APPROACH + "T1\n", 4, "allowed"),
         (APPROACH + "M6\n", 4, "allowed"),
