@@ -17,6 +17,7 @@ from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
+from cam.polish.check import PolishCheck
 from cam.posts.dialects import POSTS
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
@@ -44,7 +45,7 @@ from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, d
 from service.job.stages.context import StageContext
 from service.wording import duration
 
-Check = TypeVar("Check", PassCheck, AroundCheck)
+Check = TypeVar("Check", PassCheck, AroundCheck, PolishCheck)
 
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
