@@ -18,7 +18,7 @@ from service.job.spec.finish_library import AREA_MM2, Process
 from service.job.spec.section import Section, Speed
 
 BOB = "bob"
-START_RPM = 12_000.0
+START_RPM = 10_000.0
 """Makers of mounted felt points allow 10 000 to 20 000 rpm, by size; a guess within that."""
 
 _STEEP = 1.0  # slope for which the spindle's speed is chosen: few lenses are steeper; the check knows the lens
@@ -33,7 +33,7 @@ class BobSpec(Section):
     shore            : as its maker states the hardness; for the sheet alone
     compression_mm   : how deep the path presses it into the lens
     wear_per_gpa     : Preston's coefficient with its compound: mm off for each GPa and mm of sliding
-    spindle_rpm      : left out: 12 000, or as near as the mill and the heat of rubbing allow
+    spindle_rpm      : left out: 10 000, or as near as the mill and the heat of rubbing allow
     """
 
     radius_mm: Annotated[float, Field(ge=0.5, le=25)] = 3.0

@@ -43,7 +43,6 @@ _PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")
 _ROUNDING = 0.01  # of step-downs and feeds
-_TRACKS_PER_CONTACT = 0.32  # distance of a bob's tracks over the radius of its contact
 _BOB_PLUNGE_MM_PER_MIN = 100.0
 _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 
@@ -302,7 +301,6 @@ def polish_cut_of(job: ResolvedJob) -> PolishCut | None:
         radius_mm=bob.radius_mm,
         compression_mm=bob.compression_mm,
         contact_mm=bob.contact_mm,
-        pitch_mm=round(_TRACKS_PER_CONTACT * bob.contact_mm, 3),
         plunge_mm_per_min=min(_BOB_PLUNGE_MM_PER_MIN, machine.max_rate_mm_per_min[2]),
         spindle_rpm=bob.spindle_rpm,
         most_mm_per_s=HEAT_LIMIT_MM_PER_S,

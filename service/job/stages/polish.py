@@ -10,7 +10,7 @@ import numpy as np
 
 from cam.passes import Stock
 from cam.polish.check import PolishCheck, check_polish
-from cam.polish.path import Lattice, PolishCut, count_rounds, lay_lattice, list_dwells, polish_paths
+from cam.polish.path import Lattice, PolishCut, count_rounds, lay_lattice, polish_paths
 from cam.surface.stock_grid import StockGrid
 from optics.bob import Bob, Contacts, Ground
 from optics.finish import Finish
@@ -89,17 +89,16 @@ def plan_polish(
     """Return the lattice of the path, dwell (ny, nx) at its nodes over all rounds [s], and the number of rounds."""
     assert finish.depth_mm is not None
     lattice = lay_lattice(task.surface_over(lens), stock, task)
-    visited = lattice.nodes
+    near = lattice.near
     away = (task.radius_mm - task.compression_mm) * 0.999
     sine = np.minimum(np.hypot(*np.moveaxis(lattice.at_mm - lattice.tip_mm[:, :, :2], 2, 0)) / away, 0.999)
-    slope = (sine / np.sqrt(1.0 - sine**2))[visited]
-    guess = finish.depth_mm * task.pitch_mm**2 / np.array([bob.rate_mm3_per_s(float(one)) for one in slope])
-    contacts = Contacts(at_mm=lattice.at_mm[visited], tip_mm=lattice.tip_mm[visited], dwell_s=guess)
+    slope = (sine / np.sqrt(1.0 - sine**2))[near]
+    guess = finish.depth_mm * task.node_mm**2 / np.array([bob.rate_mm3_per_s(float(one)) for one in slope])
+    contacts = Contacts(at_mm=lattice.at_mm[near], tip_mm=lattice.tip_mm[near], dwell_s=guess)
     free = ground.plan_dwell(bob, contacts, finish.depth_mm)
-    rounds = count_rounds(lattice, list_dwells(lattice, free), task)
-    least_s = rounds * 60 * task.pitch_mm / task.most_feed_mm_per_min
-    dwell = ground.plan_dwell(bob, contacts, finish.depth_mm, least_s=least_s)
-    return lattice, list_dwells(lattice, dwell), rounds
+    rounds = count_rounds(free, task)
+    dwell = ground.plan_dwell(bob, contacts, finish.depth_mm, least_s=rounds * task.least_dwell_s)
+    return lattice, lattice.spread(dwell), rounds
 
 
 def wear_of(ground: Ground, bob: Bob, found: PolishCheck) -> Array:
