@@ -34,6 +34,7 @@ _RAPID_CLEARANCE_MM = 0.5
 _SAMPLE_MM = 0.2  # between two samples of a move
 _WALL_SAMPLES = 3  # every so many are compared with the stock
 _AXES = "xyz"
+_NONE = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -177,6 +178,8 @@ class _Run:
 
     def judge(self) -> PolishCheck:
         task = self._task
+        if not any(line.size for _, _, line in self._polishing):
+            return self._end([Phrase("the bob never moves along the lens (allowed: only a program that polishes)")])
         ends = np.concatenate([*self._ends, self._duration.list_waiting_s()])
         took_s = np.diff(ends, prepend=0.0)
         start, end, line = (np.concatenate(column) for column in zip(*self._polishing, strict=True))
@@ -199,27 +202,46 @@ class _Run:
         )
         beyond = into - deep[some] - _WALL_MM - top.cell_mm / 2
         self._kinds["wall"].note_moves(beyond > 0, beyond, line[move][some], tip[some])
-        faults = [sentence for kind in self._kinds.values() for sentence in kind.sentences]
+        return self._end(
+            [],
+            at_mm=at,
+            tip_mm=tip,
+            dwell_s=dwell_s[move] / parts[move],
+            compression_mm=(float(deep.min()), float(deep.max())),
+            fastest_mm_per_s=float(fast.max()),
+        )
+
+    def _end(
+        self,
+        faults: list[Phrase],
+        *,
+        at_mm: Array = _NONE,
+        tip_mm: Array = _NONE,
+        dwell_s: Array = _NONE,
+        compression_mm: tuple[float, float] = (0.0, 0.0),
+        fastest_mm_per_s: float = 0.0,
+    ) -> PolishCheck:
+        found = [sentence for kind in self._kinds.values() for sentence in kind.sentences]
         return PolishCheck(
             verdict=AroundCheck(
-                faults=(*faults, *self._clamps.faults),
+                faults=(*found, *faults, *self._clamps.faults),
                 lines=self._lines,
                 bytes=self._bytes,
                 moves=self._moves,
                 path_length_mm=self._length_mm,
                 time_s=self._duration.seconds,
                 entries=self._entries,
-                max_engagement_mm=float(deep.max()),
+                max_engagement_mm=compression_mm[1],
                 gouge_um=0.0,
                 left_um=0.0,
                 bounds={axis: [float(self._least[d]), float(self._most[d])] for d, axis in enumerate(_AXES)},
                 stock_top=self._stock_top,
             ),
-            at_mm=at,
-            tip_mm=tip,
-            dwell_s=dwell_s[move] / parts[move],
-            compression_mm=(float(deep.min()), float(deep.max())),
-            fastest_mm_per_s=float(fast.max()),
+            at_mm=at_mm,
+            tip_mm=tip_mm,
+            dwell_s=dwell_s,
+            compression_mm=compression_mm,
+            fastest_mm_per_s=fastest_mm_per_s,
         )
 
 

@@ -43,7 +43,7 @@ def describe_around(task: Facing | WitnessCut | PolishCut | CutOut, stock: Stock
     if isinstance(task, PolishCut):
         return (
             f"polish: bob radius {task.radius_mm:g} mm, pressed {task.compression_mm:g} mm into the lens",
-            "Z0 with the bob's tip just touching; compound on bob and lens before cycle start",
+            "Z0: the tip just touches; compound on bob and lens before the start",
             f"{_CORNER}, Z0: top of the block, mm",
         )
     return (

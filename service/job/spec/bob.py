@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from optics.bob import HEAT_LIMIT_MM_PER_S, Bob
+from optics.bob import HEAT_LIMIT_MM_PER_S, ORDER, Bob
 from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.spec.finish_library import AREA_MM2, Process
@@ -100,16 +100,19 @@ def build_bob(bob: BobSpec, spindle_rpm: float | None = None) -> Bob:
 def fit_process(process: Process, spec: BobSpec) -> Process:
     """Return the library's process with the figures of this bob, whose speed is known."""
     bob = build_bob(spec)
-    depth_mm = bob.finish_after(1.0).k0_rad_per_mm / _DEFAULT_K0
+    depth_mm = (bob.finish_after(1.0).k0_rad_per_mm / _DEFAULT_K0) ** ORDER
     minutes = depth_mm * AREA_MM2 / bob.rate_mm3_per_s(_USUAL_SLOPE) / 60
     return replace(
         process,
         offered=process.title,
-        order=1.0,
+        order=ORDER,
         default_k0_rad_per_mm=_DEFAULT_K0,
-        k0_exponent=1.0,
+        k0_exponent=1 / ORDER,
         default_minutes=minutes,
-        minutes_range=(minutes * _DEFAULT_K0 / _K0_RANGE[0], minutes * _DEFAULT_K0 / _K0_RANGE[1]),
+        minutes_range=(
+            minutes * (_DEFAULT_K0 / _K0_RANGE[0]) ** ORDER,
+            minutes * (_DEFAULT_K0 / _K0_RANGE[1]) ** ORDER,
+        ),
         by_area=True,
         depth_um=1000 * depth_mm,
         depth_grows=True,
