@@ -37,7 +37,7 @@ class BobSpec(Section):
     """
 
     radius_mm: Annotated[float, Field(ge=0.5, le=25)] = 3.0
-    modulus_mpa: Annotated[float, Field(ge=0.01, le=100)] = 1.0
+    modulus_mpa: Annotated[float, Field(ge=0.01, le=100)] = 0.5
     shore: Annotated[str, Field(max_length=20)] | None = None
     compression_mm: Annotated[float, Field(ge=0.02, le=5)] = 0.3
     wear_per_gpa: Annotated[float, Field(ge=1e-4, le=100)] = 0.08
