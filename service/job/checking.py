@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from cam.around.check import AroundCheck
-from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
@@ -23,7 +22,14 @@ from service.job import files as job_files
 from service.job.arrays import load_heightfield
 from service.job.planning.witness import plan_witness
 from service.job.spec.loading import load_stored_job, resolve_job
-from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
+from service.job.spec.resolve import (
+    ResolvedJob,
+    cam_passes_of,
+    cam_stock_of,
+    cut_out_of,
+    facing_task_of,
+    polish_cut_of,
+)
 from service.job.stages import around
 from service.job.stages.programs import first_stock, simulate
 from service.milling.preflight_child import examine
@@ -31,7 +37,7 @@ from service.progress import Reporter, Stopwatch
 from service.wording import duration
 
 T = TypeVar("T")
-Task = tuple[Sequence[Path], PassSpec | Facing | WitnessCut | CutOut]
+Task = tuple[Sequence[Path], PassSpec | around.AroundTask]
 """The programs of a pass, in the order in which they are run, and the pass, or what is milled around them."""
 
 
@@ -103,7 +109,7 @@ def check_programs(
                     result = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
                 else:
                     assert job is not None  # only a job has such tasks
-                    result = around.simulate(paths, spec, job, stock_top)
+                    result = around.simulate(paths, spec, job, stock_top, heightfield)
             except CamError as error:  # text that must not be sent to a mill
                 verdicts.append(_make_unreadable_verdict(path, broken or [str(error)]))
                 break
@@ -151,7 +157,7 @@ def _read_job_tasks(
     given = {path.name: path for path in programs}
     paths = [[given.get(name, folder / name) for name in names] for names in files[: last + 1]]
     marks = plan_witness(job).cut if job_files.WITNESS in report.get("around", {}) else None
-    all_specs = (facing_task_of(spec), *cam_passes_of(spec), marks, cut_out_of(spec))
+    all_specs = (facing_task_of(spec), *cam_passes_of(spec), marks, polish_cut_of(job), cut_out_of(spec))
     specs = [one for one in all_specs if one is not None]
     tasks: list[Task] = list(zip(paths, specs, strict=False))
     return tasks, cam_stock_of(spec), job.machine

@@ -38,8 +38,9 @@ LENS_FILES = (HEIGHTFIELD, MAP, SOLID, STEP, PACKED_STEP, *list_pictures("lens")
 LIGHT_FILES = tuple(list_pictures("light"))
 AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
 FINISH_TOLERANCE = "finish-tolerance.png"
-FACE, WITNESS, CUT_OUT = "face", "witness", "cut-out"  # programs around the passes, by the name in their file
-AFTER_PASSES = (WITNESS, CUT_OUT)
+# Programs around the passes, by the name in their file:
+FACE, WITNESS, POLISH, CUT_OUT = "face", "witness", "polish", "cut-out"
+AFTER_PASSES = (WITNESS, POLISH, CUT_OUT)
 TOOLPATH, PLAN, ENVELOPE = "toolpath.png", "plan.png", "envelope.png"
 SURFACE = "surface.bin"
 THUMBNAIL = "thumbnail.png"  # of the target, as long as there is none of what the wall will show
@@ -85,10 +86,13 @@ def stock_name(number: int) -> str:
 
 
 FACED_STOCK, LAST_STOCK = stock_name(0), ".stock-last.npz"
+UNEVENNESS = ".unevenness.npz"  # of what a bob takes off, after the finish
 
 
 def programs_in_order(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of all programs in the order in which they are run: face, passes, witness marks, cut-out."""
+    """Return the rows of all programs in the order in which they are run: face, passes, witness marks, polish, cut-
+    out.
+    """
     around = report.get("around", {})
     first, last = ([around[name] for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
     return [*first, *report.get("passes", ()), *last]

@@ -20,9 +20,13 @@ from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
+from cam.polish.check import check_polish
+from cam.polish.path import PolishCut
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid
+from machines.profile import MachineProfile
+from optics.heightfield import Heightfield
 from optics.witness import VISIBLE_SLOPE_RAD, NoMarksError
 from optics.witness_light import WALL_MM
 from phrases.phrase import Phrase
@@ -51,6 +55,8 @@ from service.job.stages.programs import (
     write_parts,
 )
 
+AroundTask = Facing | WitnessCut | PolishCut | CutOut
+
 _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
 
 
@@ -59,9 +65,9 @@ def run_facing(context: StageContext) -> None:
     facing, stock, machine = facing_task_of(context.spec), cam_stock_of(context.spec), context.machine
     assert facing is not None and context.spec.stock.face is not None  # by the plan of stages
     paths = make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
-    written = _write(context, 0, FACE, paths, facing, trace=trace_of(context.job))
+    written = write_around(context, 0, FACE, paths, facing, trace=trace_of(context.job))
     verdict = _check(context, written, facing, raw_stock(context.spec))
-    context.report["around"] = {FACE: _row(written, verdict, {"name": FACE, **context.spec.stock.face.model_dump()})}
+    context.report["around"] = {FACE: row_of(written, verdict, {"name": FACE, **context.spec.stock.face.model_dump()})}
     context.hand_over(FACED_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
@@ -79,11 +85,11 @@ def run_witness(context: StageContext) -> None:
     highest_mm = top.highest_mm(left, right, front, back)
     assert highest_mm is not None  # the strip lies in the block
     paths = make_witness_paths(task, top_mm=highest_mm, safe_z_mm=context.machine.safe_z_mm)
-    written = _write(context, len(context.spec.passes) + 1, WITNESS, paths, task)
+    written = write_around(context, len(context.spec.passes) + 1, WITNESS, paths, task)
     verdict = _check(context, written, task, top)
     figures = ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm")
     settings = {"name": WITNESS, "tool": "ball", **{name: getattr(task, name) for name in figures}}
-    context.report["around"] = {WITNESS: _row(written, verdict, settings)}
+    context.report["around"] = {WITNESS: row_of(written, verdict, settings)}
     context.report["witness"] = {
         "side": planned.side,
         "box_mm": list(task.box_mm),
@@ -105,7 +111,7 @@ def run_cut_out(context: StageContext) -> None:
     loop = cut_out_ways(context.job, task)[1]
     top_mm = find_highest_along(loop, task.radius_mm, top)
     paths = make_cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
-    written = _write(context, len(context.spec.passes) + context.spec.finish.witnessed + 1, CUT_OUT, paths, task)
+    written = write_around(context, len(context.spec.passes) + _programs_after(context.spec) + 1, CUT_OUT, paths, task)
     verdict = _check(context, written, task, top)
     depth_mm, diameter_mm = stock.thickness_mm + task.through_mm, 2 * task.radius_mm
     if depth_mm > _SLENDER * diameter_mm:
@@ -122,22 +128,37 @@ def run_cut_out(context: StageContext) -> None:
             ),
         )
     settings = {"name": CUT_OUT, "tool": "flat", **context.spec.stock.cut_out.model_dump()}
-    context.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
+    context.report["around"] = {CUT_OUT: row_of(written, verdict, settings)}
 
 
-def simulate(
-    paths: Sequence[Path], task: Facing | WitnessCut | CutOut, job: ResolvedJob, stock_top: StockGrid
-) -> AroundCheck:
-    """Read the programs back, one after the other, and simulate what they remove from stock_top."""
-    machine, stock = job.machine, cam_stock_of(job.spec)
-    texts, digits = map(read_chunks, paths), post_of(machine).digits
-    mill = CheckedMill(
+def _programs_after(spec: JobSpec) -> int:
+    """Return the number of programs between the passes and the cut-out."""
+    return int(spec.finish.witnessed) + int(spec.finish.is_milled)
+
+
+def checked_mill_of(machine: MachineProfile) -> CheckedMill:
+    digits = post_of(machine).digits
+    return CheckedMill(
         kinematics=Kinematics.of(machine),
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
         digit_mm=digits.z_mm,
         xy_digit_mm=digits.xy_mm,
     )
+
+
+def simulate(
+    paths: Sequence[Path],
+    task: AroundTask,
+    job: ResolvedJob,
+    stock_top: StockGrid,
+    lens: Heightfield | None = None,
+) -> AroundCheck:
+    """Read the programs back, one after the other, and simulate what they remove from stock_top; lens: for a bob."""
+    stock, mill, texts = cam_stock_of(job.spec), checked_mill_of(job.machine), map(read_chunks, paths)
+    if isinstance(task, PolishCut):
+        assert lens is not None
+        return check_polish(texts, task, lens=lens, stock=stock, stock_top=stock_top, mill=mill).verdict
     if isinstance(task, Facing):
         return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
     if isinstance(task, WitnessCut):
@@ -155,15 +176,16 @@ def raw_stock(spec: JobSpec) -> StockGrid:
     return StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=block.cell_mm, top_mm=top_mm)
 
 
-def _write(
+def write_around(
     context: StageContext,
     number: int,
     name: str,
     paths: Iterable[ToolPath],
-    task: Facing | WitnessCut | CutOut,
+    task: AroundTask,
     *,
     trace: tuple[ToolPath, ...] = (),
 ) -> list[WrittenProgram]:
+    """Write a program around the passes; one, or its parts."""
     stock, machine = cam_stock_of(context.spec), context.machine
     post, setup = post_of(machine), setup_of(machine, tool=_tool_number(context.spec, task))
     frame = PassFrame(
@@ -181,23 +203,25 @@ def _write(
         return write_parts(context.folder, partial(program_name, number, name, post.suffix), parts)
 
 
-def _tool_number(spec: JobSpec, task: Facing | WitnessCut | CutOut) -> int:
+def _tool_number(spec: JobSpec, task: AroundTask) -> int:
+    tools = number_tools(spec)
+    if isinstance(task, PolishCut):
+        return len(tools) + 1
     around = spec.stock.face if isinstance(task, Facing) else spec.stock.cut_out
     row = spec.passes[-1] if isinstance(task, WitnessCut) else around
     assert row is not None
-    return number_tools(spec)[tool_key(row)]
+    return tools[tool_key(row)]
 
 
-def _check(
-    context: StageContext, written: list[WrittenProgram], task: Facing | WitnessCut | CutOut, top: StockGrid
-) -> AroundCheck:
+def _check(context: StageContext, written: list[WrittenProgram], task: AroundTask, top: StockGrid) -> AroundCheck:
     called = written[0].file
     with context.watch.stage(f"check {called}"):
         paths = [context.folder / part.file for part in written]
         return require_passed(called, lambda: simulate(paths, task, context.job, top))
 
 
-def _row(written: list[WrittenProgram], verdict: AroundCheck, settings: dict[str, Any]) -> dict[str, Any]:
+def row_of(written: list[WrittenProgram], verdict: AroundCheck, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of report `around`."""
     figures = ("moves", "path_length_mm", "time_s", "entries", "max_engagement_mm", "gouge_um", "left_um", "bounds")
     return {
         "file": written[0].file,

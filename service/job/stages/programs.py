@@ -18,6 +18,7 @@ from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm
+from cam.polish.check import PolishCheck
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
@@ -53,7 +54,7 @@ from service.job.spec.resolve import (
 from service.job.stages.context import StageContext
 from service.wording import duration
 
-Check = TypeVar("Check", PassCheck, AroundCheck)
+Check = TypeVar("Check", PassCheck, AroundCheck, PolishCheck)
 
 CHIPS_WITHIN = 0.97
 """Share of the cutting time whose chips must be within the material's band; less is worth a warning."""

@@ -26,6 +26,7 @@ from service.wording import ball, shape_of
 _SHAPES = {
     "ball": Phrase("ball end mill"),
     "flat": Phrase("flat end mill"),
+    "bob": Phrase("polishing bob"),
     "bull-nose": Phrase("bull-nose end mill"),
 }
 

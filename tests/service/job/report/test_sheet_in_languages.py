@@ -26,9 +26,7 @@ from tests.service.job.spec.test_finish_library import SEEN, told
 # Each entry stands between two letters that nobody sees; what stands in for a placeholder is outside of them.
 BEGIN, END = "\N{ZERO WIDTH SPACE}", "\N{SOFT HYPHEN}"
 MAKERS = "Harvey Tool|AST Tooling|Shapeoko CNC A to Z"
-NAMES = re.compile(
-    rf"\b(?:face|blob|rough|witness|cut-out|transport|[0-9a-f]{{64}}|[GMP]\d+|[md]|mrad|px|{MAKERS})\b"
-)
+NAMES = re.compile(rf"\b(?:face|blob|rough|witness|cut-out|transport|[0-9a-f]{{64}}|[GMP]\d+|[md]|mrad|px|{MAKERS})\b")
 CURVATURE = {"p50": 0.01, "p90": 0.1, "p99.9": 0.4, "p100": 2.0}
 LAST = PASSED | {
     "file": "pass-2-finish.nc",
