@@ -1,8 +1,8 @@
 """`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1. docs/soak.md says
 of each when it was last run, on which commit, and what was seen.
 
-    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended chips renderer
-                           interpreter witness storm-sqlite storm-postgres]
+    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended chips
+                           renderer interpreter witness storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
