@@ -1,8 +1,8 @@
 """`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1. docs/soak.md says
 of each when it was last run, on which commit, and what was seen.
 
-    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended renderer
-                           cad interpreter witness storm-sqlite storm-postgres]
+    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended chips
+                           renderer cad interpreter witness storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tests.benchmarks.reporting import machine, run_sections
 from tests.benchmarks.timing import Figure
-from tests.trials import cad, interpreter, recommended, renderer, sections, witness
+from tests.trials import cad, chips, interpreter, recommended, renderer, sections, witness
 from tests.trials.server import sections as server
 
 SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
@@ -32,6 +32,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "load": sections.load,
     "estimate": sections.estimate,
     "recommended": recommended.figures,
+    "chips": chips.figures,
     "renderer": renderer.figures,
     "cad": cad.figures,
     "interpreter": interpreter.figures,
