@@ -130,7 +130,6 @@ def test_the_written_program_takes_off_what_is_predicted() -> None:
     for other in (BOB, replace(BOB, modulus_mpa=0.8), replace(BOB, modulus_mpa=1.2), BOB.worn_by(0.15)):
         told = ground.sample(wear_of(ground, other, found), at)
         real = integrate(text.decode(), other, at)
-        print(other.modulus_mpa, other.radius_mm, told.mean(), real.mean(), np.abs(told - real).max())
         assert told.mean() == pytest.approx(real.mean(), rel=0.02)
         assert np.abs(told - real).max() < 0.05 * real.mean()
         if other.radius_mm == BOB.radius_mm:
