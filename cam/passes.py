@@ -44,8 +44,7 @@ class PassSpec:
     max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
     flutes            : cutting edges
     chip_mm           : least and most feed per tooth; feeds that follow the load do not exceed the most
-    tool_name, tool_number, tool_stick_out_mm : number in the mill's tool table, length from tip to chuck; None: not
-                        stated
+    tool_name, tool_number : of the shop, and in the mill's tool table; None: not stated
     """
 
     name: str
@@ -69,7 +68,6 @@ class PassSpec:
     chip_mm: tuple[float, float] = (0.0, math.inf)
     tool_name: str | None = None
     tool_number: int | None = None
-    tool_stick_out_mm: float | None = None
 
     @property
     def layer_mm(self) -> float:

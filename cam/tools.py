@@ -123,7 +123,6 @@ def tool_pass(
         chip_mm=speeds.chip_mm,
         tool_name=tool.name,
         tool_number=tool.number,
-        tool_stick_out_mm=tool.stick_out_mm,
         flute_length_mm=tool.flute_length_mm,
         shank_radius_mm=tool.shank_radius_mm,
         stick_out_mm=tool.stick_out_mm,

@@ -24,7 +24,7 @@ def describe_pass(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
 def describe_tool(spec: PassSpec) -> str:
     """Return the tool as far as it is stated: number, name, flutes, stick-out; and its feed per tooth."""
     number = f"T{spec.tool_number} " if spec.tool_number else ""
-    out = f", stick-out {n(spec.tool_stick_out_mm)} mm" if spec.tool_stick_out_mm else ""
+    out = f", stick-out {n(spec.stick_out_mm)} mm" if spec.stick_out_mm else ""
     chip_mm = spec.feed_mm_per_min / (spec.spindle_rpm * spec.flutes)
     name = f"{spec.tool_name}, " if spec.tool_name else ""
     return f"tool {number}{name}{spec.flutes} flute{'s' * (spec.flutes > 1)}{out}, {n(chip_mm)} mm per tooth"

@@ -89,9 +89,6 @@ class PassRow(Section):
     tool_number: Annotated[
         Annotated[int, Field(ge=1, le=9999)] | None, shown("Tool number", "In the mill's tool table.", usual="none")
     ] = None
-    tool_stick_out_mm: Annotated[
-        Annotated[float, Field(ge=0.5, le=300)] | None, shown("Stick-out", "From tip to chuck.", usual="not checked")
-    ] = None
     flute_length_mm: Annotated[
         Annotated[float, Field(ge=0.01, le=200)] | None, shown("Flute length", usual="not checked")
     ] = None
