@@ -208,7 +208,7 @@ from service.job.spec.resolve import setup_of
 job = resolve_job(overrides=["machine.profile=shed"])
 writer = create_writer(POSTS[job.machine.dialect])
 path = [rapid((0, 0, 5)), cut([(0, 0, 0.12345), (2, 1, -0.5)], 300), rapid((2, 1, 5))]
-text = writer.start(("tiny",), rpm=12000, safe_z_mm=5.0, setup=setup_of(job.machine))
+text = writer.start(("tiny",), rpm=12000, safe_z_mm=5.0, setup=setup_of(job.machine, tool=1))
 text += b"".join(piece for part in path for piece in writer.write(part)) + writer.end(safe_z_mm=5.0)
 batches = list(read_parts([[text]], LANGUAGES["mach"]))
 mill = Interpreter(dialect="mach")

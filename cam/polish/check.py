@@ -21,7 +21,8 @@ from cam.checking.move_rules import Finding, describe_spindle_off
 from cam.duration import DurationModel, is_block
 from cam.moves import Array
 from cam.passes import Stock
-from cam.polish.path import PolishCut
+from cam.polish.cut import PolishCut
+from cam.polish.path import cover
 from cam.reading.gcode import MoveBatch, read_parts
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
@@ -83,7 +84,7 @@ class _Run:
         self, task: PolishCut, lens: Heightfield, stock: Stock, stock_top: StockGrid, mill: CheckedMill
     ) -> None:
         self._task, self._mill, self._stock_top = task, mill, stock_top
-        self._surface: ToolSurface = task.surface_over(lens)
+        self._surface: ToolSurface = cover(task, lens)
         self._duration = DurationModel(mill.kinematics)
         self._clamps = Clamps(stock.clamps, radius_mm=task.radius_mm)
         self._highest_mm = float(stock_top.top_mm.max())

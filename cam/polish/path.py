@@ -25,85 +25,15 @@ from scipy.ndimage import map_coordinates
 from cam.errors import PassValueError, SafeHeightError
 from cam.moves import RAPID_CLEARANCE_MM, Array, Path, cut, rapid
 from cam.passes import Stock
+from cam.polish.cut import PolishCut
 from cam.rows.entries import leave
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 from phrases.phrase import Phrase
 
-_LOOP, _ADVANCE, _NODES = 0.63, 0.2018, 0.32  # radius of a loop, its advance, spacing of the lattice: contact radii
-_ROW = 2 * math.pi / 5.5201  # distance of rows over the radius of a loop
 _CHORDS = 16  # of a loop
 _FEED_STEP = 1.002  # ratio of two neighbouring feeds: steps of a percent of the depth would show
 _SLOWEST_MM_PER_MIN = 5.0
-_BRAKE_SHARE = 0.5  # of the axes' acceleration, that a loop takes
-_BEYOND = 1.5  # contact radii beyond the rim that the bob's contact point goes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PolishCut:
-    """A bob's work: a soft ball pressed into the lens by a constant depth along the normal.
-
-    contact_mm          : radius of its contact on a flat
-    most_mm_per_s       : surface speed that heat allows
-    acceleration_mm_per_s2, max_rate_mm_per_min : of the axes X, Y, Z, which feeds keep to
-    """
-
-    radius_mm: float
-    compression_mm: float
-    contact_mm: float
-    plunge_mm_per_min: float
-    spindle_rpm: float
-    most_mm_per_s: float
-    acceleration_mm_per_s2: tuple[float, float, float]
-    max_rate_mm_per_min: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        for name in ("radius_mm", "compression_mm", "contact_mm", "plunge_mm_per_min", "spindle_rpm"):
-            if not 0 < (value := getattr(self, name)) < math.inf:
-                raise PassValueError(name=name, value=value, allowed=Phrase("above {least:g}", least=0))
-        if self.compression_mm > self.radius_mm / 4:
-            allowed = Phrase("at most a quarter of the bob's radius, {most_mm:g} mm", most_mm=self.radius_mm / 4)
-            raise PassValueError(name="compression_mm", value=self.compression_mm, allowed=allowed)
-
-    @property
-    def loop_mm(self) -> float:
-        """Radius of the loops."""
-        return _LOOP * self.contact_mm
-
-    @property
-    def advance_mm(self) -> float:
-        return _ADVANCE * self.contact_mm
-
-    @property
-    def row_mm(self) -> float:
-        return _ROW * self.loop_mm
-
-    @property
-    def node_mm(self) -> float:
-        """Spacing of the lattice on which dwell is planned."""
-        return _NODES * self.contact_mm
-
-    @property
-    def most_feed_mm_per_min(self) -> float:
-        """The feed at which loops take half of what the axes can accelerate."""
-        by_loops = 60 * math.sqrt(_BRAKE_SHARE * min(self.acceleration_mm_per_s2[:2]) * self.loop_mm)
-        return min(by_loops, *self.max_rate_mm_per_min)
-
-    @property
-    def least_dwell_s(self) -> float:
-        """Least time that one round spends around a node, at the greatest feed."""
-        length_mm = self.node_mm**2 * 2 * math.pi * self.loop_mm / (self.advance_mm * self.row_mm)
-        return 60 * length_mm / self.most_feed_mm_per_min
-
-    @property
-    def most_reach_mm(self) -> float:
-        """How far outside the aperture its axis may have to go."""
-        return self.radius_mm + _BEYOND * self.contact_mm
-
-    def surface_over(self, lens: Heightfield) -> ToolSurface:
-        """Return the surface of its tips over the lens."""
-        reach = self.most_reach_mm + 2 * self.loop_mm
-        return ToolSurface.over(lens, radius_mm=self.radius_mm, allowance_mm=-self.compression_mm, run_out_mm=reach)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,9 +58,15 @@ class Lattice:
         return out
 
 
+def cover(task: PolishCut, lens: Heightfield) -> ToolSurface:
+    """Return the surface of the bob's tips over the lens."""
+    reach = task.most_reach_mm + 2 * task.loop_mm
+    return ToolSurface.over(lens, radius_mm=task.radius_mm, allowance_mm=-task.compression_mm, run_out_mm=reach)
+
+
 def lay_lattice(surface: ToolSurface, stock: Stock, task: PolishCut) -> Lattice:
     """Return the lattice over the aperture and the bob's reach around it."""
-    beyond, reach = _BEYOND * task.contact_mm, task.most_reach_mm
+    beyond, reach = task.beyond_mm, task.most_reach_mm
     x, y = (_even_nodes(-reach, size + reach, task.node_mm) for size in (stock.width_mm, stock.height_mm))
     rows = np.array([surface.contacts_mm(x, np.full_like(x, row)) for row in y])
     at = rows[:, :, :2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.passes import PassSpec, Stock
-from cam.polish.path import PolishCut
+from cam.polish.cut import PolishCut
 from cam.posts.post import number as n
 
 _CORNER = "X0 Y0: lower left corner of the lens aperture"

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optics.bob import Bob, Contacts, Ground
+from optics.bob import Bob
+from optics.bob_wear import Contacts, Ground
 from optics.heightfield import Heightfield
 from optics.outcomes import outcomes_of
 

@@ -100,7 +100,7 @@ def build_bob(bob: BobSpec, spindle_rpm: float | None = None) -> Bob:
 def fit_process(process: Process, spec: BobSpec) -> Process:
     """Return the library's process with the figures of this bob, whose speed is known."""
     bob = build_bob(spec)
-    depth_mm = (bob.finish_after(1.0).k0_rad_per_mm / _DEFAULT_K0) ** ORDER
+    depth_mm = (bob.k0_after(1.0) / _DEFAULT_K0) ** ORDER
     minutes = depth_mm * AREA_MM2 / bob.rate_mm3_per_s(_USUAL_SLOPE) / 60
     return replace(
         process,

@@ -21,7 +21,7 @@ from cam.checking.envelope import Reach
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, PassSpec, Stock
-from cam.polish.path import PolishCut
+from cam.polish.cut import PolishCut
 from cam.posts.dialects import POSTS, Dialect, find_unsupported
 from cam.posts.post import MM_PER_INCH, Coolant, Digits, HighPrecision, ProgramSetup
 from cam.tools import Tool

@@ -21,7 +21,7 @@ from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
 from cam.polish.check import check_polish
-from cam.polish.path import PolishCut
+from cam.polish.cut import PolishCut
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid

@@ -10,9 +10,11 @@ import numpy as np
 
 from cam.passes import Stock
 from cam.polish.check import PolishCheck, check_polish
-from cam.polish.path import Lattice, PolishCut, count_rounds, lay_lattice, polish_paths
+from cam.polish.cut import PolishCut
+from cam.polish.path import Lattice, count_rounds, cover, lay_lattice, polish_paths
 from cam.surface.stock_grid import StockGrid
-from optics.bob import Bob, Contacts, Ground
+from optics.bob import Bob
+from optics.bob_wear import Contacts, Ground
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from phrases.phrase import Phrase
@@ -42,7 +44,7 @@ def run_polish(context: StageContext) -> None:
     stock, bob = cam_stock_of(context.spec), build_bob(given)
     with context.watch.stage("plan polish"):
         ground = Ground.under(bob, lens, beyond_mm=_GROUND_MM * bob.contact_mm)
-        surface = task.surface_over(lens)
+        surface = cover(task, lens)
         lattice, dwell_s, rounds = plan_polish(ground, task, bob, lens, stock, finish)
     number = len(context.spec.passes) + context.spec.finish.witnessed + 1
     paths = polish_paths(
@@ -88,7 +90,7 @@ def plan_polish(
 ) -> tuple[Lattice, Array, int]:
     """Return the lattice of the path, dwell (ny, nx) at its nodes over all rounds [s], and the number of rounds."""
     assert finish.depth_mm is not None
-    lattice = lay_lattice(task.surface_over(lens), stock, task)
+    lattice = lay_lattice(cover(task, lens), stock, task)
     near = lattice.near
     away = (task.radius_mm - task.compression_mm) * 0.999
     sine = np.minimum(np.hypot(*np.moveaxis(lattice.at_mm - lattice.tip_mm[:, :, :2], 2, 0)) / away, 0.999)

@@ -17,7 +17,8 @@ from cam.moves import Array, Motion
 from cam.parts import PassFrame, programs
 from cam.passes import Stock
 from cam.polish.check import PolishCheck, check_polish
-from cam.polish.path import Lattice, PolishCut, count_rounds, lay_lattice, polish_paths
+from cam.polish.cut import PolishCut
+from cam.polish.path import Lattice, count_rounds, cover, lay_lattice, polish_paths
 from cam.posts.dialects import POSTS
 from cam.posts.remarks import describe_around
 from cam.surface.stock_grid import StockGrid
@@ -62,14 +63,14 @@ def make_stock(floor_mm: float = -10.0) -> StockGrid:
 
 @cache
 def lay() -> Lattice:
-    return lay_lattice(TASK.surface_over(make_lens()), STOCK, TASK)
+    return lay_lattice(cover(TASK, make_lens()), STOCK, TASK)
 
 
 @cache
 def write(rounds: int = 1) -> str:
     lattice = lay()
     dwell = rounds * DWELL_S * np.ones(lattice.near.shape)
-    paths = polish_paths(TASK.surface_over(make_lens()), lattice, dwell, TASK, rounds=rounds, top_mm=0.0, safe_z_mm=5.0)
+    paths = polish_paths(cover(TASK, make_lens()), lattice, dwell, TASK, rounds=rounds, top_mm=0.0, safe_z_mm=5.0)
     frame = PassFrame(
         remarks=describe_around(TASK, STOCK),
         rpm=TASK.spindle_rpm,
@@ -91,7 +92,7 @@ def all_points(rounds: int) -> Array:
     lattice = lay()
     paths = list(
         polish_paths(
-            TASK.surface_over(make_lens()), lattice, np.full(lattice.near.shape, DWELL_S), TASK,
+            cover(TASK, make_lens()), lattice, np.full(lattice.near.shape, DWELL_S), TASK,
             rounds=rounds, top_mm=0.0, safe_z_mm=5.0,
         )
     )  # fmt: skip

@@ -309,6 +309,7 @@ def test_order_of_precedence_is_file_preset_set(tmp_path: Path) -> None:
     optics, row = "[optics]\nwidth_mm = 30\nheight_mm = 20\n", "[[passes]]\nradius_mm = 1\npitch_mm = 0.5\n"
     file.write_text(f'preset = "draft"\n{optics}{row}')
     assert [row.radius_mm for row in resolve_spec(file=file).passes] == [1.0]
+    file.write_text(f'preset = "draft"\n{optics}')
     spec = resolve_spec(file=file, preset="paper", overrides=["optics.width_mm=40", "passes.2.pitch_mm=0.1"])
     assert (spec.optics.width_mm, spec.optics.height_mm) == (40.0, 20.0)
     assert [row.pitch_mm for row in spec.passes] == [0.5, 0.05, 0.1]

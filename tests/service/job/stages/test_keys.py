@@ -101,14 +101,14 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("image.pixels", {"image"}),
         ("image.prepare", {"irradiance"}),
         ("stock.thickness_mm", {"heightfield", "pass-1", "pass-2", "check"}),
-        ("stock.skim_mm", {"map"}),
+        ("stock.skim_mm", {"map", "pass-1", "check"}),  # which hold the envelope against it
         *((f"stock.{key}", {"caustic", "as-milled"}) for key in ("haze_percent", "back_flatness_mm", "back_period_mm")),
         ("machine.safe_z_mm", {"pass-1", "pass-2", "check"}),
         ("machine.most_program_mb", {"pass-1", "pass-2", "check"}),
         ("machine.spindle_rpm", {"check"}),
         ("machine.screw_error_mm", {"check", "as-milled"}),
         ("machine.screw_lead_mm", {"check", "as-milled"}),
-        ("machine.profile", {"check"}),  # all its figures are given otherwise
+        ("machine.profile", {"pass-1", "check"}),  # all its figures are given otherwise
         ("machine.coolant", {"pass-1", "pass-2", "check"}),
         ("machine.work_offset", {"pass-1", "pass-2", "check"}),
         ("machine.collet_mm", {"check"}),
@@ -130,8 +130,8 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
         ("optics.creases", {"map"}),
         ("image.prepare_detail_mm", {"irradiance"}),
         ("plan.hours", set()),  # the passes are given
-        ("stock.face", {"pass-1"}),  # its stage is a further one; the first pass begins from another stock
-        ("stock.cut_out", {"pass-2", "check"}),  # which hands on what it leaves
+        ("stock.face", {"pass-1", "check"}),  # its stage is a further one; the first pass begins from another stock
+        ("stock.cut_out", {"pass-1", "pass-2", "check"}),  # which hands on what it leaves
         ("finish.k0_rad_per_mm", {"map", "caustic", "as-milled"}),  # and the stage that only a finish brings
         ("finish.witness", {"pass-2", "check"}),  # the last pass hands on what it leaves
         ("machine.high_precision", set()),  # said to be none, or left so
@@ -143,14 +143,15 @@ def test_what_a_change_reaches_where_values_go_together(key: str, stages: set[st
     assert {stage for stage in STAGES if before[stage] != after[stage]} == stages | {"report"}
 
 
+UNDER_HEAD = {"pass-1", "check"}  # which hold the envelope against what is milled around the passes
 FACED = {"stock.face": {"above_mm": 0.5}, "stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}
 
 
 @pytest.mark.parametrize(
     ("changes", "stages"),
     [
-        ({"stock.face": {"above_mm": 0.6}}, {"pass-face"}),
-        ({"stock.cut_out": {"radius_mm": 0.5, "tabs": 2, "tab_width_mm": 1.0}}, {"pass-cut-out"}),
+        ({"stock.face": {"above_mm": 0.6}}, {"pass-face", *UNDER_HEAD}),
+        ({"stock.cut_out": {"radius_mm": 0.5, "tabs": 2, "tab_width_mm": 1.0}}, {"pass-cut-out", *UNDER_HEAD}),
         ({"machine.warm_up_s": 9.0}, {"pass-face", "check"}),
         ({"machine.coolant": "flood"}, {"pass-face", "pass-1", "pass-2", "pass-cut-out", "check"}),
         ({"passes.1.pitch_mm": 0.3}, {"pass-2", "check", "as-milled"}),

@@ -14,10 +14,12 @@ from cam.moves import Array
 from cam.parts import PassFrame, programs
 from cam.passes import Stock
 from cam.polish.check import check_polish
-from cam.polish.path import PolishCut, polish_paths
+from cam.polish.cut import PolishCut
+from cam.polish.path import cover, polish_paths
 from cam.posts.dialects import POSTS
 from cam.surface.stock_grid import StockGrid
-from optics.bob import Bob, Ground
+from optics.bob import Bob
+from optics.bob_wear import Ground
 from optics.heightfield import Heightfield
 from service.job.stages.polish import plan_polish, wear_of
 
@@ -102,7 +104,7 @@ def test_the_written_program_takes_off_what_is_predicted() -> None:
     finish = BOB.finish_after(DEPTH_MM)
     ground = Ground.under(BOB, lens, beyond_mm=2.5 * BOB.contact_mm)
     lattice, dwell_s, rounds = plan_polish(ground, task, BOB, lens, stock, finish)
-    paths = polish_paths(task.surface_over(lens), lattice, dwell_s, task, rounds=rounds, top_mm=0.0, safe_z_mm=5.0)
+    paths = polish_paths(cover(task, lens), lattice, dwell_s, task, rounds=rounds, top_mm=0.0, safe_z_mm=5.0)
     frame = PassFrame(
         remarks=(), rpm=BOB.spindle_rpm, plunge_mm_per_min=100.0, safe_z_mm=5.0, aperture_mm=(SIDE_MM, SIDE_MM)
     )

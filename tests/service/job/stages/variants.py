@@ -47,16 +47,17 @@ OTHER: dict[str, Any] = {
     "machine.screw_error_mm": [0.002, 0.0, 0.001], "machine.screw_lead_mm": [2.0, 2.0, 1.25],
     "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.collet_mm": 8.0,
     "machine.bed_to_collet_mm": 120.0, "machine.table_mm": [150.0, 150.0], "machine.gantry_mm": 90.0,
-    "stock.base_mm": 5.0, "passes.0.stick_out_mm": 25.0, "passes.1.stick_out_mm": 25.0,
+    "stock.base_mm": 30.0, "passes.0.stick_out_mm": 25.0, "passes.1.stick_out_mm": 25.0,
     "machine.spindle_rpm": [2000.0, 19000.0], "passes.0.name": "other", "passes.1.name": "other",
     "stock.material": "polycarbonate", "passes.0.tool_name": "ball-a", "passes.1.tool_name": "ball-b",
 }  # fmt: skip
 ONLY_ONE_VALUE = {"passes.0.where", "passes.1.corner_radius_mm"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
+ROOMY = {"stock.margin_mm": 16.0, "machine.safe_z_mm": 30.0}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
 FELT = {"process": "felt", "k0_rad_per_mm": 3.0, "order": 1.0, "depth_um": 10.0, "minutes": 2.0, "pad_mm": 10.0}
-BOB = {"process": "bob", "k0_rad_per_mm": 3.0, "minutes": 2.0, "bob": {"radius_mm": 1.0}}
+BOB = {"process": "bob", "k0_rad_per_mm": 3.0, "minutes": 2.0, "bob": {"radius_mm": 2.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
     "image.prepare_detail_mm": (
@@ -66,14 +67,14 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "finish.process": ({"finish": FELT}, {"finish": {**FELT, "process": "sanding"}}),
     **{f"finish.{key}": ({"finish": FELT}, {"finish": {**FELT, key: 2.5}}) for key in FELT if key != "process"},
-    "finish.bob": ({"finish": BOB}, {"finish": {**BOB, "bob": {"radius_mm": 1.5}}}),
+    "finish.bob": ({"finish": BOB}, {"finish": {**BOB, "bob": {"radius_mm": 2.5}}}),
     "finish.witness": ({"finish": FELT}, {"finish": {**FELT, "witness": False}}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
     "passes.0.corner_radius_mm": ({}, {"passes.0.corner_radius_mm": 0.5}),
     "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
     "stock.cut_out": ({}, {"stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}),
     "stock.clamps": ({}, {"stock.clamps": [CLAMP]}),
-    "stock.clamping": ({"stock.margin_mm": 14.0}, {"stock.margin_mm": 14.0, "stock.clamping": "strap-m6"}),
+    "stock.clamping": (ROOMY, {**ROOMY, "stock.clamping": "strap-m6"}),
     "machine.top_z_mm": (LINUXCNC, {**LINUXCNC, "machine.top_z_mm": -1.0}),
     "machine.tool_change": (LINUXCNC, {**LINUXCNC, "machine.tool_change": True}),
     "machine.optional_stop": (LINUXCNC, {**LINUXCNC, "machine.optional_stop": True}),
