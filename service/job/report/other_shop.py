@@ -50,9 +50,9 @@ def rows_for_another_shop(
         (
             Phrase("Tolerance of the milled face"),
             Phrase(
-                "slopes within {slope_mrad:.2g} µm per mm ({slope_mrad:.2g} mrad): light then goes astray by half a pixel. "
-                "So waves of {short:g} mm may be {short_um:.2g} µm high, waves of {long:g} mm {long_um:.2g} µm; its place as a whole, "
-                "{place_mm:.2g} mm",
+                "slopes within {slope_mrad:.2g} µm per mm ({slope_mrad:.2g} mrad): light then goes astray by half a "
+                "pixel. So waves of {short:g} mm may be {short_um:.2g} µm high, waves of {long:g} mm {long_um:.2g} µm; "
+                "its place as a whole, {place_mm:.2g} mm",
                 slope_mrad=1000 * slope_rad,
                 short=waves[0][0],
                 short_um=waves[0][1],

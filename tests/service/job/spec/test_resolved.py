@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from machines.profile import profile_names
 from service.errors import FailedError, SpecError
-from service.job.spec.finish import BEST, NONE
 from service.job.spec.bob import BOB
+from service.job.spec.finish import BEST, NONE
 from service.job.spec.finish_library import built_in_processes
 from service.job.spec.loading import load_stored_job, resolve_job, restore_job
 from service.job.spec.resolve import ResolvedJob
