@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
 from machines.driver import Triple
@@ -84,6 +84,10 @@ class Preflight:
     @property
     def faults(self) -> tuple[Phrase, ...]:
         return tuple(one.words for one in self.findings if one.is_fault)
+
+    def for_dry_pass(self) -> Preflight:
+        """Return what holds of it in a dry pass, which is to move with the spindle off."""
+        return replace(self, findings=tuple(one for one in self.findings if one.code != "spindle-off"))
 
     def to_json(self) -> str:
         plain = {name: getattr(self, name) for name in self.__slots__} | {

@@ -242,10 +242,22 @@ def _rectangle(
 
 
 def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """Draw the clamps that the spec names, where they stand."""
+    """Draw what the clamps that the spec names cover of the block, and a little beside it."""
+    out_mm = block.margin_mm + 4.0 / scale
+    style = 'fill="#8795a1" stroke="#1f2933"'
     return [
-        _box(zero_x + scale * x, zero_y - scale * (y + depth), scale * width, scale * depth, "#8795a1", "#1f2933")
+        _rectangle(
+            (
+                max(x, -out_mm),
+                min(x + width, block.width_mm + out_mm),
+                max(y, -out_mm),
+                min(y + depth, block.height_mm + out_mm),
+            ),
+            *(zero_x, zero_y, scale, style),
+        )
         for x, y, width, depth in block.clamps_mm
+        if -out_mm < x + width and x < block.width_mm + out_mm
+        if -out_mm < y + depth and y < block.height_mm + out_mm
     ]
 
 

@@ -102,6 +102,7 @@ def test_a_dry_pass_runs_in_the_air_and_never_counts_as_cut(floor: Shop) -> None
     job = floor.job((30, 40))
     dry = floor.park(job, lift_mm=20)
     assert (dry["lift_mm"], dry["required_checks"], dry["program"]["number"]) == (20.0, CHECKS, 1)
+    assert not any("spindle off" in one for one in dry["warnings"])
     assert floor.get(f"/v1/machines/{MACHINE}")["run"]["lift_mm"] == 20.0
     floor.start(dry)
     done = floor.until_finished(dry)
