@@ -37,7 +37,13 @@ from tests.page.jobs import canned, shown, with_plan
 from tests.page.machine_states import NAME as MILL
 from tests.page.test_next_step import after
 
-REST = {"optics.light.profile", "stock.face", "stock.cut_out", "stock.clamps"}  # reached by the text of other values
+REST = {
+    "optics.light.profile",
+    "stock.face",
+    "stock.cut_out",
+    "stock.clamps",
+    "finish.bob",
+}  # reached by the text of other values
 PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
 
 
@@ -536,7 +542,7 @@ def test_a_refusal_stands_at_the_field_that_it_names_or_above_the_button(opened:
 def test_nobody_is_asked_to_drop_with_a_finger(opened: Opened, size: str, words: str) -> None:
     for address in ("#/new", "#/"):
         page = opened(address, size=size)
-        expect(page.locator(".drop p")).to_contain_text(words)
+        expect(page.locator(".drop p").first).to_contain_text(words)
 
 
 WEIGHT = "performance.getEntriesByType('resource').reduce((sum, one) => sum + one.transferSize, 0)"

@@ -47,6 +47,7 @@ from service.milling.terminal.screen import describe_mill_left, place_lines, pri
 CONNECT_S = 90.0  # the driver gives up a silent link sooner, and says why
 _MODE_S = 60.0  # the driver ends an unanswered command sooner
 _POLL_S = 0.2
+_STATUS_S = 1.0  # several status reports
 
 
 def run_check_mode(
@@ -59,9 +60,9 @@ def run_check_mode(
     )
     if driver.status.state is not MillState.IDLE:
         raise FailedError(f"dry run: the mill is {driver.status.state.value}; allowed when it is idle")
-    _set_check_mode(driver, url, on=True)
-    protections = driver.protections
     try:
+        _set_check_mode(driver, url, on=True)
+        protections = driver.protections
         driver.start(lines, allow_always)
         while True:
             for event in driver.poll(_POLL_S):
@@ -96,6 +97,8 @@ def _leave(driver: Driver, url: str) -> None:
         if driver.progress.streaming:
             driver.abort()
             _poll_until(driver, url, _MODE_S, lambda _: not driver.progress.streaming)
+        late = Timeout(_STATUS_S)  # an interrupt may have come before the status that answers $C
+        _poll_until(driver, url, _MODE_S, lambda _: driver.status.state is MillState.CHECK or late.is_over)
         if driver.status.state is MillState.CHECK:
             _set_check_mode(driver, url, on=False)
     except MachineError as error:

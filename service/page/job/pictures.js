@@ -83,8 +83,8 @@ function figure({ title, note, url }) {
   return h("figure", {}, picture, caption);
 }
 
-function captioned({ caption, url }) {
-  return h("figure", {}, h("img", { src: url, alt: caption }), h("figcaption", {}, caption));
+function captioned({ title, url }) {
+  return h("figure", {}, h("img", { src: url, alt: title }), h("figcaption", {}, title));
 }
 
 /** A drop-down list of pictures that keeps the person's choice when the list changes. */

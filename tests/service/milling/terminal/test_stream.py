@@ -296,6 +296,18 @@ def test_a_dry_run_moves_nothing_and_finds_what_the_controller_refuses(tmp_path:
         assert mill.cut == []
 
 
+@pytest.mark.thorough
+def test_a_dry_run_that_is_interrupted_leaves_check_mode(tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", 20_000)
+    with bench(10.0) as mill:
+        process = piped(str(path), "--port", mill.url, "--dry-run")
+        until(lambda: mill.mill.firmware.state == "Check", what="check mode")
+        process.send_signal(signal.SIGINT)
+        assert ended(process)[0] != 0
+        assert mill.mill.firmware.state == "Idle"
+        assert mill.cut == []
+
+
 def test_a_fault_ends_in_its_cause_the_line_the_state_and_the_next_command(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
