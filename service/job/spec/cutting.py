@@ -95,7 +95,7 @@ class PassRow(Section):
     shank_radius_mm: Annotated[
         Annotated[float, Field(ge=0.01, le=50)] | None, shown("Shank radius", usual="not checked")
     ] = None
-    stick_out_mm: Annotated[StickOut | None, shown("Sticks out", usual="as little as it needs")] = None
+    stick_out_mm: Annotated[StickOut | None, shown("Sticks out", usual="the least")] = None
 
     corner_radius_mm: Annotated[
         Annotated[float, Field(ge=0, le=50), none_or_from(0.01)] | None,
@@ -275,7 +275,7 @@ class StockSpec(Section):
     back_period_mm: Annotated[float, Field(ge=1, le=1000), shown("Their length")] = 40.0
     base_mm: Annotated[
         Annotated[float, Field(ge=0, le=1000), none_or_from(0.01)] | None,
-        shown("Height under the block", "Spoil board, sub plate or vice, over the table.", usual="as the mill needs"),
+        shown("Height under the block", "Spoil board, sub plate or vice, over the table.", usual="as needed"),
     ] = None
     clamping: Annotated[
         Literal["none", "strap-m6", "strap-m8", "strap-m10"],
@@ -415,7 +415,7 @@ class MachineSpec(Section):
     units: Annotated[Literal["mm", "inch"] | None, _shown("Programs in")] = None
     number_every: Annotated[
         Annotated[int, _as_in_profile("number_every")] | None,
-        shown("N words", "On every so many-th line.", usual="as the control is used to"),
+        shown("N words", "On every so many-th line.", usual="usual"),
     ] = None
     warm_up_s: Annotated[
         Annotated[float, _as_in_profile("warm_up_s"), none_or_from(0.1)] | None,

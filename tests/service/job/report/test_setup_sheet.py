@@ -354,13 +354,13 @@ def test_higher_clamps_ask_for_tools_that_stick_out_farther():
 
 
 def test_clamps_of_the_spec_are_drawn_where_they_stand():
-    clamp = {"x_mm": -12.0, "y_mm": 60.0, "width_mm": 10.0, "depth_mm": 20.0, "height_mm": 4.0}
+    clamp = {"x_mm": -6.0, "y_mm": 60.0, "width_mm": 10.0, "depth_mm": 20.0, "height_mm": 4.0}
     bare = render_report(REPORT, spec=SPEC, files=FILES)
     page = render_report(REPORT, spec=SPEC | {"stock": SPEC["stock"] | {"clamps": [clamp]}}, files=FILES)
     (box,) = set(re.findall(r"<rect [^>]+>", page)) - set(re.findall(r"<rect [^>]+>", bare))
     scale, zero_x, zero_y = _scale_of(page)
     corner = [float(re.search(rf'{name}="(-?[\d.]+)"', box)[1]) for name in ("x", "y")]
-    assert corner == pytest.approx([zero_x - 12 * scale, zero_y - 80 * scale], abs=0.2)
+    assert corner == pytest.approx([zero_x - 6 * scale, zero_y - 80 * scale], abs=0.2)
     assert "checked against them" in page
 
 

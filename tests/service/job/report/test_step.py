@@ -128,7 +128,7 @@ def test_the_sheet_tells_another_shop_its_tolerance_its_finish_and_the_wall():
     """Half of a pixel of 0.2 mm on a wall at 200 mm, n = 1.5: 1 mrad."""
     assert "For another shop" not in render_report({}, spec=_SPEC, files=["lens.stl"])
     page = render_report({"optics": {"min_radius_mm": 1.5}}, spec=_SPEC, files=["lens.step"])
-    assert "within 1 mrad" in page
+    assert "within 1 µm per mm (1 mrad)" in page
     assert "waves of 1 mm may be 0.32 µm" in page
     assert "at most 18 nm" in page
     assert "at most R 1.5" in page

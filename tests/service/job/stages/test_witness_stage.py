@@ -203,8 +203,8 @@ def test_the_strip_stays_in_the_block_beside_everything_else(boxes: list[str], m
 
 def test_a_clamp_in_the_middle_moves_the_strip_and_clamps_all_along_send_it_to_another_side() -> None:
     usual = planned("passes.0.radius_mm=3")
-    aside = planned("passes.0.radius_mm=3", "stock.clamps=[{x_mm=45,y_mm=-14,width_mm=10,depth_mm=8,height_mm=5}]")
-    behind = planned("passes.0.radius_mm=3", "stock.clamps=[{x_mm=-14,y_mm=-14,width_mm=128,depth_mm=8,height_mm=5}]")
+    aside = planned("passes.0.radius_mm=3", "stock.clamps=[{x_mm=45,y_mm=-14,width_mm=10,depth_mm=7,height_mm=5}]")
+    behind = planned("passes.0.radius_mm=3", "stock.clamps=[{x_mm=-14,y_mm=-14,width_mm=128,depth_mm=7,height_mm=5}]")
     assert usual.side == aside.side == "front" and usual.cut.places_mm != aside.cut.places_mm
     assert behind.side == "back"
 
