@@ -134,4 +134,4 @@ def test_the_sheet_tells_another_shop_its_tolerance_its_finish_and_the_wall():
     assert "at most R 1.5" in page
     assert "200 mm from Z0" in page
     mirror = {**_SPEC, "optics": {**_SPEC["optics"], "surface": "mirror"}}
-    assert "within 0.25 mrad" in render_report({}, spec=mirror, files=["lens.step"])
+    assert "within 0.25 µm per mm (0.25 mrad)" in render_report({}, spec=mirror, files=["lens.step"])
