@@ -247,6 +247,7 @@ POLYCARBONATE = Material(
     makers=(_HARVEY_PLASTICS_3, _HARVEY_PLASTICS_6, _AST_SOFT_3, _AST_SOFT_6),
     cutting=_PLASTIC,
 )
+_HARVEY_METALS = (("Harvey Tool", 3.175, 0.025, 0.025), ("Harvey Tool", 6.35, 0.051, 0.051))
 _METAL_SOURCES = (
     "Harvey Tool, general machining guidelines, non-ferrous: 800-1500 ft/min, 0.025 mm per tooth at 1/8 in, 0.05 mm "
     "at 1/4 in",
@@ -266,7 +267,7 @@ ALUMINIUM = Material(
         *_METAL_SOURCES,
     ),
     cutting_j_per_mm3=0.9,  # a guess: handbooks have 0.4 to 1.1
-    makers=(("Harvey Tool", 3.175, 0.025, 0.025), ("Harvey Tool", 6.35, 0.051, 0.051)),
+    makers=_HARVEY_METALS,
     cutting=_METAL,
 )
 BRASS = Material(
@@ -279,7 +280,7 @@ BRASS = Material(
     advice="Sharp two-flute carbide, dry; lacquer the polished face, or it tarnishes.",
     sources=("reflectance at 550 nm, from optical constants of alpha brass near 0.5 + 2.2i [guess]", *_METAL_SOURCES),
     cutting_j_per_mm3=2.0,  # a guess: handbooks have 1.4 to 2.4
-    makers=(("Harvey Tool", 3.175, 0.025, 0.025), ("Harvey Tool", 6.35, 0.051, 0.051)),
+    makers=_HARVEY_METALS,
     cutting=_METAL,
 )
 

@@ -120,6 +120,12 @@ def _number(low: float, high: float, value: object) -> float:
     return float(value)
 
 
+def _numbers(count: int, low: float, high: float, value: Any) -> tuple[float, ...]:
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError
+    return tuple(_number(low, high, one) for one in value)
+
+
 def number(low: float, high: float, unit: str = "") -> Rule:
     allowed = Phrase("a number from {low:g} to {high:g}", low=low, high=high)
     if unit:
@@ -128,20 +134,13 @@ def number(low: float, high: float, unit: str = "") -> Rule:
 
 
 def triple(low: float, high: float, unit: str) -> Rule:
-    def take(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != 3:
-            raise ValueError
-        return tuple(_number(low, high, v) for v in value)
-
     allowed = Phrase("three numbers [X, Y, Z] from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
-    return Rule(take, allowed, (low, high))
+    return Rule(lambda value: _numbers(3, low, high, value), allowed, (low, high))
 
 
 def pair(low: float, high: float, unit: str) -> Rule:
     def take(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise ValueError
-        least, most = (_number(low, high, v) for v in value)
+        least, most = _numbers(2, low, high, value)
         if least >= most:
             raise ValueError
         return (least, most)
@@ -151,20 +150,15 @@ def pair(low: float, high: float, unit: str) -> Rule:
 
 
 def sides(low: float, high: float, unit: str) -> Rule:
-    def take(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) != 2:
-            raise ValueError
-        return tuple(_number(low, high, v) for v in value)
-
     allowed = Phrase("two numbers [X, Y] from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
-    return Rule(take, allowed, (low, high))
+    return Rule(lambda value: _numbers(2, low, high, value), allowed, (low, high))
 
 
 def cylinders(low: float, high: float, unit: str) -> Rule:
     def take(value: Any) -> tuple[tuple[float, ...], ...]:
-        if not isinstance(value, list) or not all(isinstance(one, list) and len(one) == 2 for one in value):
+        if not isinstance(value, list):
             raise ValueError
-        return tuple(tuple(_number(low, high, v) for v in one) for one in value)
+        return tuple(_numbers(2, low, high, one) for one in value)
 
     allowed = Phrase(
         "a list of pairs [radius, length], each from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit

@@ -19,11 +19,7 @@ Plain Python, for callers without arrays; `optics.bob_wear` computes what comes 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from optics.finish import Finish
+from dataclasses import dataclass
 
 HEAT_LIMIT_MM_PER_S = 6100.0
 """Surface speed of soft wheels on acrylic, 1200 ft/min: the lowest that U.S. Plastic Corp. recommends (knowledge base,
@@ -71,7 +67,7 @@ class Bob:
         return self.spindle_rpm * math.pi / 30
 
     def fastest_mm_per_s(self, slope: float) -> float:
-        """Return the greatest surface speed in the contact where the lens has that slope |grad h|."""
+        """Return the greatest surface speed in the contact on a lens of that slope, |grad h|."""
         return self.turn_rad_per_s * (self.radius_mm * slope / math.hypot(1.0, slope) + self.contact_mm)
 
     def rate_mm3_per_s(self, slope: float) -> float:
@@ -83,20 +79,3 @@ class Bob:
     def k0_after(self, depth_mm: float) -> float:
         """Return k0 [rad/mm] of the finish that this bob makes by taking off that depth."""
         return (self.compression_mm / (_FALL * depth_mm)) ** (1 / ORDER) / self.contact_mm
-
-    def finish_after(self, depth_mm: float) -> Finish:
-        """Return the finish that this bob makes by taking off that depth."""
-        from optics.finish import Finish  # its dependencies are slow to import
-
-        return Finish(
-            k0_rad_per_mm=self.k0_after(depth_mm),
-            order=ORDER,
-            pad_mm=2 * self.contact_mm,
-            depth_mm=depth_mm,
-            off_doses=PRESSURES,
-            off_orders=(),
-        )
-
-    def worn_by(self, worn_mm: float) -> Bob:
-        """Return the bob with a smaller radius; its path and its touch-off stay: see `bob_wear.Ground.wear`."""
-        return replace(self, radius_mm=self.radius_mm - worn_mm)

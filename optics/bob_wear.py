@@ -103,7 +103,7 @@ class Ground:
         return off, seen
 
     def _grow(self, cells: int) -> Mask:
-        """Return the aperture and what is within so many cells of it."""
+        """Return the aperture, grown by that many cells on each side."""
         rows, columns = (np.flatnonzero(self.inside.any(axis=axis)) for axis in (1, 0))
         grown = np.zeros_like(self.inside)
         low, left = max(rows[0] - cells, 0), max(columns[0] - cells, 0)

@@ -22,7 +22,7 @@ def describe_pass(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
 
 
 def describe_tool(spec: PassSpec) -> str:
-    """Return the tool as far as it is stated: number, name, flutes, stick-out; and its feed per tooth."""
+    """Describe the tool by its feed per tooth and what the pass states: number, name, flutes, stick-out."""
     number = f"T{spec.tool_number} " if spec.tool_number else ""
     out = f", stick-out {n(spec.stick_out_mm)} mm" if spec.stick_out_mm else ""
     chip_mm = spec.feed_mm_per_min / (spec.spindle_rpm * spec.flutes)

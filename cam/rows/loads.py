@@ -70,8 +70,9 @@ def round_feed(feed_mm_per_min: ArrayLike) -> Array:
 
 
 def most_feed_mm_per_min(spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
-    """Return the feed where almost nothing is cut, within the rates of the axes and the thickest chip; steep: slope of
-    the path.
+    """Return the highest feed, for where almost nothing is cut. The axes' rates and the thickest chip limit it.
+
+    steep : slope of the path
     """
     x, y, z = spec.max_rate_mm_per_min
     climbing = z * np.hypot(1.0, steep) / np.maximum(steep, 1e-9)

@@ -90,9 +90,7 @@ UNEVENNESS = ".unevenness.npz"  # of what a bob takes off, after the finish
 
 
 def programs_in_order(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of all programs in the order in which they are run: face, passes, witness marks, polish, cut-
-    out.
-    """
+    """Return the rows of all programs in running order: face, passes, witness marks, polish, cut-out."""
     around = report.get("around", {})
     first, last = ([around[name] for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
     return [*first, *report.get("passes", ()), *last]

@@ -13,6 +13,7 @@ from optics.bob import Bob
 from optics.bob_wear import Contacts, Ground
 from optics.heightfield import Heightfield
 from optics.outcomes import outcomes_of
+from tests.optics.bobs import make_finish
 
 BOB = Bob(radius_mm=3.0, modulus_mpa=1.0, wear_per_mpa=8e-5, compression_mm=0.3, spindle_rpm=10_000.0)
 
@@ -52,14 +53,14 @@ def test_a_planes_removal_is_prestons(slope: float) -> None:
 
 @given(modulus=st.floats(0.05, 50.0), depth_um=st.floats(1.0, 200.0))
 def test_the_low_pass_does_not_depend_on_hardness(modulus: float, depth_um: float) -> None:
-    soft, hard = (replace(BOB, modulus_mpa=one).finish_after(depth_um / 1000) for one in (1.0, modulus))
+    soft, hard = (make_finish(replace(BOB, modulus_mpa=one), depth_um / 1000) for one in (1.0, modulus))
     assert hard.k0_rad_per_mm == pytest.approx(soft.k0_rad_per_mm)
-    assert soft.after(2.0).k0_rad_per_mm == pytest.approx(replace(BOB).finish_after(depth_um / 500).k0_rad_per_mm)
+    assert soft.after(2.0).k0_rad_per_mm == pytest.approx(make_finish(replace(BOB), depth_um / 500).k0_rad_per_mm)
 
 
 def test_a_bob_turns_out_more_evenly_than_a_hand() -> None:
     """No outcome of another order, and none with more than a fifth more or less work."""
-    finish = BOB.finish_after(0.08)
+    finish = make_finish(BOB, 0.08)
     depths = [one.finish.depth_mm for one in outcomes_of(finish) if one.finish is not None]
     assert depths == pytest.approx([0.08, 0.064, 0.096])
     by_hand = outcomes_of(replace(finish, off_doses=None, off_orders=(0.75, 1.25)))
@@ -126,7 +127,7 @@ def test_ripples_fall_as_the_exact_contact_says(waves: float, within: float) -> 
         ripples.append(2 * (pressure * wave).sum())
     fall = np.mean(ripples) / np.mean(volumes) / high  # per depth: -d ln(height) / dD
     bob = Bob(radius_mm=radius, modulus_mpa=modulus, wear_per_mpa=1.0, compression_mm=depth, spindle_rpm=1.0)
-    finish = bob.finish_after(1.0)
+    finish = make_finish(bob, 1.0)
     assert fall == pytest.approx((k / finish.k0_rad_per_mm) ** finish.order, rel=within)
     assert np.mean(volumes) * cell**2 == pytest.approx(bob.force_n, rel=0.02)
 

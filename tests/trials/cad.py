@@ -84,10 +84,10 @@ def _is_valid(solid: Any) -> bool:
     from OCP.TopAbs import TopAbs_ShapeEnum
 
     kind = TopAbs_ShapeEnum.TopAbs_SOLID
-    return solid.ShapeType() == kind and _shells_closed(solid) and BRepCheck_Analyzer(solid).IsValid()
+    return solid.ShapeType() == kind and _has_closed_shells(solid) and BRepCheck_Analyzer(solid).IsValid()
 
 
-def _shells_closed(solid: Any) -> bool:
+def _has_closed_shells(solid: Any) -> bool:
     from OCP.BRep import BRep_Tool
     from OCP.TopAbs import TopAbs_ShapeEnum
 

@@ -178,7 +178,7 @@ def _interpolate(lens: Heightfield, places_mm: Array, at: Array) -> BSpline:
 
 
 def control_net(lens: Heightfield) -> tuple[BSpline, BSpline, Array]:
-    """Return the splines whose coefficients are the net's x (nx,) and y (ny,), and its heights (ny, nx)."""
+    """Return two splines, with the net's x (nx,) and y (ny,) as coefficients, and the net's heights (ny, nx)."""
     across, down = make_interp_spline(lens.x_mm, lens.x_mm, k=3), make_interp_spline(lens.y_mm, lens.y_mm, k=3)
     rows = make_interp_spline(lens.x_mm, lens.z_mm, k=3, axis=1).c  # scipy puts the axis of the coefficients first
     return across, down, make_interp_spline(lens.y_mm, rows.T, k=3).c
@@ -186,7 +186,7 @@ def control_net(lens: Heightfield) -> tuple[BSpline, BSpline, Array]:
 
 @dataclass(slots=True)
 class _Entities:
-    """The numbered lines of the file. Methods that add return the name of what they have added."""
+    """The numbered lines of the file. Each method that adds an entity returns its name."""
 
     count: int = 0
     lines: list[str] = field(default_factory=list)

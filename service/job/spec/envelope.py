@@ -196,9 +196,7 @@ def _find_off_table(spec: JobSpec, machine: MachineProfile) -> Iterator[tuple[Pr
             table_mm=have_mm,
             number=number,
         )
-        if most_mm > 0:
-            words = Phrase("{problem}; allowed: at most {most_mm} mm on this mill", problem=words, most_mm=most_mm)
-        yield (key, words), most_mm if most_mm > 0 else None
+        yield _offer(key, words, most_mm)
 
 
 def _find_low_rapids(envelope: Envelope, machine: MachineProfile) -> Iterator[tuple[Problem, float | None]]:
@@ -283,10 +281,7 @@ def _find_too_tall(
             share = 0.5 if "stock.cut_out" in reaches and not by_gantry else 1.0
             key, fits_mm = "stock.thickness_mm", thick_mm - share * (stands_mm - most_mm)
         fits_mm = floor(10 * fits_mm + _ROUNDING_MM) / 10
-        if fits_mm > 0:
-            most = f"{fits_mm:g}"
-            words = Phrase("{problem}; allowed: at most {most_mm} mm on this mill", problem=words, most_mm=most)
-        yield (key, words), fits_mm if fits_mm > 0 else None
+        yield _offer(key, words, fits_mm)
     elif stands_mm < least_mm - _ROUNDING_MM:
         words = Phrase(
             "{base_mm:g} is too low: the collet of {machine} comes down to {low_mm:g} mm over the table, or the lens "
@@ -297,6 +292,16 @@ def _find_too_tall(
             least_mm=_round_up(least_mm),
         )
         yield ("stock.base_mm", words), _round_up(least_mm)
+
+
+def _offer(key: str, words: Phrase, most_mm: float) -> tuple[Problem, float | None]:
+    """Return the problem with the greatest value of its key that would fit, if one does."""
+    if most_mm <= 0:
+        return (key, words), None
+    return (
+        key,
+        Phrase("{problem}; allowed: at most {most_mm:g} mm on this mill", problem=words, most_mm=most_mm),
+    ), most_mm
 
 
 def _round_up(value_mm: float) -> float:
@@ -331,9 +336,7 @@ def find_beyond_travel(
             travel_mm=have_mm,
             number=number,
         )
-        if most_mm > 0:
-            words = Phrase("{problem}; allowed: at most {most_mm} mm on this mill", problem=words, most_mm=most_mm)
-        yield (key, words), most_mm if most_mm > 0 else None
+        yield _offer(key, words, most_mm)
     through_mm = 0.0 if stock.cut_out is None else stock.thickness_mm + stock.cut_out.through_mm
     deepest_mm = max(depth_mm, through_mm, stock.skim_mm)
     if machine.safe_z_mm + deepest_mm > machine.travel_mm[2] + _ROUNDING_MM:

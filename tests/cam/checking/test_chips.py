@@ -25,7 +25,7 @@ SPEC = replace(
 HEAD = "G21G90G94G17G54\nM3S{rpm}\nG0X0Y2Z5\nG0Z1\nG1Z-0.5F600\n"
 
 
-def measured(text: str, mill: Kinematics = MILL, flutes: int = 2):
+def measure(text: str, mill: Kinematics = MILL, flutes: int = 2):
     duration, chips = DurationModel(mill), Chips(replace(SPEC, flutes=flutes))
     grid = removal_of(SPEC.shape, StockGrid.block(STOCK, 0.05), radius_mm=SPEC.radius_mm)
     for batch in read_program([text.encode()]):
@@ -36,21 +36,21 @@ def measured(text: str, mill: Kinematics = MILL, flutes: int = 2):
 def test_time_below_within_and_above_by_what_is_read_back():
     """40 mm at F100, F1000 and F5000 with 10 000 rpm and two edges: 5, 50 and 250 um, for 24, 2.4 and 0.48 s."""
     rows = "G1X40F100\nY3F600\nX0F1000\nY4F600\nX40F5000\nM5\nM2\n"
-    found = measured(HEAD.format(rpm=10_000) + rows)
+    found = measure(HEAD.format(rpm=10_000) + rows)
     assert found.asked_s == pytest.approx((24.0, 2.4 + 0.35, 0.48), abs=0.1)
     assert found.thinnest_mm == pytest.approx(0.005, rel=0.01) and found.line == 6
-    assert measured(HEAD.format(rpm=2_000) + rows).share > 0.8  # a fifth of the speed: 25 um, within the band
-    assert measured(HEAD.format(rpm=10_000) + rows, flutes=1).thinnest_mm == pytest.approx(0.01, rel=0.01)
+    assert measure(HEAD.format(rpm=2_000) + rows).share > 0.8  # a fifth of the speed: 25 um, within the band
+    assert measure(HEAD.format(rpm=10_000) + rows, flutes=1).thinnest_mm == pytest.approx(0.01, rel=0.01)
 
 
 def test_air_and_rapids_are_no_cutting_time():
-    found = measured(HEAD.format(rpm=10_000) + "G1X40F1000\nX0F10\nM5\nM2\n")  # back in its own slot: air
+    found = measure(HEAD.format(rpm=10_000) + "G1X40F1000\nX0F10\nM5\nM2\n")  # back in its own slot: air
     assert found.share == 1.0 and sum(found.asked_s) == pytest.approx(2.4, abs=0.2)
 
 
 def test_a_link_that_starves_the_mill_thins_what_is_reached_not_what_is_asked():
     rows = "".join(f"X{k / 100:.2f}F1000\n" for k in range(1, 4001))
-    found = measured(HEAD.format(rpm=10_000) + "G1\n" + rows + "M5\nM2\n", replace(MILL, lines_per_s=100.0))
+    found = measure(HEAD.format(rpm=10_000) + "G1\n" + rows + "M5\nM2\n", replace(MILL, lines_per_s=100.0))
     assert found.share == 1.0 and found.reached_share < 0.1
 
 
@@ -59,5 +59,5 @@ def test_batches_do_not_change_the_sums():
     text = HEAD.format(rpm=10_000) + "G1\n" + rows + "M5\nM2\n"
     padded = text.replace("\n", " " * 60 + "\n")
     assert len(padded) > BATCH_BYTES / 2
-    one, other = measured(text), measured(padded + "")
+    one, other = measure(text), measure(padded + "")
     assert one.asked_s == pytest.approx(other.asked_s)

@@ -188,7 +188,7 @@ def test_no_motion_of_a_program_that_fits_meets_anything(scene, x, y, share) -> 
     assert strikes(envelope, base_mm, reach, stick_out_mm, text, parked_mm) in ([], ["parked"])
 
 
-def fitting() -> tuple[Envelope, Reach, str]:
+def make_fit() -> tuple[Envelope, Reach, str]:
     """A finish of a block with a clamp at its left, on a mill that just has room for it."""
     text = text_of("finish", 12.0, 15.0, raised=False)
     clamp = Clamp(x_mm=-30.0, y_mm=0.0, width_mm=20.0, depth_mm=6.0, height_mm=10.0)
@@ -213,7 +213,7 @@ def fitting() -> tuple[Envelope, Reach, str]:
 )
 def test_what_the_rules_refuse_does_meet_something(change: str, met: str) -> None:
     """Each rule broken: the same motions strike."""
-    envelope, reach, text = fitting()
+    envelope, reach, text = make_fit()
     stick_out_mm = envelope.least_stick_out_mm(reach)
     (least_mm, most_mm), base_mm = envelope.base_range_mm([reach]), 20.0
     parked_mm = np.array([40.0, 40.0, 11.0])
@@ -245,7 +245,7 @@ def test_what_the_rules_refuse_does_meet_something(change: str, met: str) -> Non
 
 def test_plan_check_and_sheet_ask_for_the_same_stick_out() -> None:
     """Deepest cut, what stands under the nose, and a clearance; never so little that the flutes are clamped."""
-    envelope, reach, _ = fitting()
+    envelope, reach, _ = make_fit()
     assert envelope.least_stick_out_mm(reach) == pytest.approx(2.0 - reach.lowest_mm + 10.0)
     far = replace(envelope, clamps=(replace(envelope.clamps[0], x_mm=-100.0),))
     assert far.least_stick_out_mm(reach) == pytest.approx(max(2.0 - reach.lowest_mm, 4.0 * reach.radius_mm))

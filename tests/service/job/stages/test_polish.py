@@ -22,6 +22,7 @@ from optics.bob import Bob
 from optics.bob_wear import Ground
 from optics.heightfield import Heightfield
 from service.job.stages.polish import plan_polish, wear_of
+from tests.optics.bobs import make_finish, wear_down
 
 SIDE_MM, DEPTH_MM, CELL_MM = 9.0, 0.08, 0.15
 BOB = Bob(radius_mm=3.0, modulus_mpa=1.0, wear_per_mpa=8e-5, compression_mm=0.3, spindle_rpm=3000.0)
@@ -101,7 +102,7 @@ def test_the_written_program_takes_off_what_is_predicted() -> None:
         acceleration_mm_per_s2=ACCELERATION,
         max_rate_mm_per_min=RATES,
     )
-    finish = BOB.finish_after(DEPTH_MM)
+    finish = make_finish(BOB, DEPTH_MM)
     ground = Ground.under(BOB, lens, beyond_mm=2.5 * BOB.contact_mm)
     lattice, dwell_s, rounds = plan_polish(ground, task, BOB, lens, stock, finish)
     paths = polish_paths(cover(task, lens), lattice, dwell_s, task, rounds=rounds, top_mm=0.0, safe_z_mm=5.0)
@@ -129,7 +130,7 @@ def test_the_written_program_takes_off_what_is_predicted() -> None:
     assert found.verdict.time_s == pytest.approx(float(dwell_s.sum()), rel=0.05)
     side = np.arange(2.5, SIDE_MM - 2.5, 0.25)
     at = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    for other in (BOB, replace(BOB, modulus_mpa=0.8), replace(BOB, modulus_mpa=1.2), BOB.worn_by(0.15)):
+    for other in (BOB, replace(BOB, modulus_mpa=0.8), replace(BOB, modulus_mpa=1.2), wear_down(BOB, 0.15)):
         told = ground.sample(wear_of(ground, other, found), at)
         real = integrate(text.decode(), other, at)
         assert told.mean() == pytest.approx(real.mean(), rel=0.02)
