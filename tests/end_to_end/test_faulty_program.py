@@ -45,7 +45,7 @@ def spoiled(how: str) -> Any:
     [
         ("Z-3", ["below the lens"]),  # a gouge
         pytest.param("G0X0", ["rapid"], marks=pytest.mark.thorough),  # through the stock
-        pytest.param("G2X1I1", ["arcs"], marks=pytest.mark.thorough),  # text that may not run
+        pytest.param("G2X1I1", ["arc"], marks=pytest.mark.thorough),  # text that may not run
     ],
 )
 def test_a_faulty_program_fails_the_job(

@@ -51,7 +51,7 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
     expect(facts).to_contain_text("details under 1.1 mm will blur")
     page.locator("#pictures-title").scroll_into_view_if_needed()
     expect(page.get_by_role("slider", name="Wipe between Target and As finished")).to_be_visible()
-    expect(page.get_by_role("img", name="The picture as given, and prepared")).to_be_visible()
+    expect(page.get_by_role("img", name="As given and prepared")).to_be_visible()
     facts.get_by_text("Figures for experts").click()
     likeness = page.get_by_role("row", name="Likeness (PSNR)").get_by_role("cell")
     expect(likeness.first).to_have_text("28.4 dB")

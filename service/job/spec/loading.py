@@ -299,10 +299,11 @@ def reduce_spec(resolved: Mapping[str, Any]) -> Json:
     try:
         load = cache(load_profile)  # each try resolves the whole spec, and would read the machine's profile again
         wanted = _resolve(asked, load)
-        for place in _places(asked):
-            shorter = _remove(asked, place)
-            if shorter is not None and _resolves_to(shorter, wanted, load):
-                asked = shorter
+        for _ in range(2):  # a value may follow from one that went after it, as a feed does from a given speed
+            for place in _places(asked):
+                shorter = _remove(asked, place)
+                if shorter is not None and _resolves_to(shorter, wanted, load):
+                    asked = shorter
     except SpecError:
         pass
     if profile is not None:

@@ -315,9 +315,10 @@ def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
 @pytest.mark.parametrize("profile", mostly_thorough(profile_names(()), quick=("grbl",)))
 def test_every_way_to_mill_keeps_collet_and_removal_rate_of_the_mill(profile: str) -> None:
     """With the built-in tools, whose largest have shanks of 8 and 12 mm, and a margin that has room for all."""
-    job = look_up(
-        resolve_spec(preset="recommended", overrides=(*SIZE, f"machine.profile={profile}", "stock.margin_mm=14"))
-    )
+    asked = [*SIZE, f"machine.profile={profile}", "stock.margin_mm=14"]
+    if profile == "okuma-osp":
+        asked.append("machine.top_z_mm=400")
+    job = look_up(resolve_spec(preset="recommended", overrides=asked))
     shop, form = shop_of(job), LensForm.of(bumps(0.2))
     candidates, left_out = find_candidates(
         shop, {one.radius_mm: form for one in shop.balls}, Blur(), fillings={}, quickly=True

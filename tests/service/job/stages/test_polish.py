@@ -13,7 +13,7 @@ from cam.duration import Kinematics
 from cam.moves import Array
 from cam.parts import PassFrame, programs
 from cam.passes import Stock
-from cam.polish.check import check_polish
+from cam.polish.check import PolishCheck, check_polish
 from cam.polish.cut import PolishCut
 from cam.polish.path import cover, polish_paths
 from cam.posts.dialects import POSTS
@@ -118,20 +118,19 @@ def test_the_written_program_takes_off_what_is_predicted() -> None:
         lines_per_s=1000.0,
     )
     block = StockGrid.block(stock, 0.1)
-    found = check_polish(
-        [[text]],
-        task,
-        lens=lens,
-        stock=stock,
-        stock_top=replace(block, top_mm=np.full(block.top_mm.shape, -20.0)),
-        mill=CheckedMill(kinematics=kinematics, safe_z_mm=5.0, digit_mm=1e-5, xy_digit_mm=1e-4),
-    )
+    cleared = replace(block, top_mm=np.full(block.top_mm.shape, -20.0))
+    mill = CheckedMill(kinematics=kinematics, safe_z_mm=5.0, digit_mm=1e-5, xy_digit_mm=1e-4)
+
+    def read(task: PolishCut) -> PolishCheck:
+        return check_polish([[text]], task, lens=lens, stock=stock, stock_top=cleared, mill=mill)
+
+    found = read(task)
     assert found.ok, found.faults
     assert found.verdict.time_s == pytest.approx(float(dwell_s.sum()), rel=0.05)
     side = np.arange(2.5, SIDE_MM - 2.5, 0.25)
     at = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     for other in (BOB, replace(BOB, modulus_mpa=0.8), replace(BOB, modulus_mpa=1.2), wear_down(BOB, 0.15)):
-        told = ground.sample(wear_of(ground, other, found), at)
+        told = ground.sample(wear_of(ground, other, read(replace(task, radius_mm=other.radius_mm))), at)
         real = integrate(text.decode(), other, at)
         assert told.mean() == pytest.approx(real.mean(), rel=0.02)
         assert np.abs(told - real).max() < 0.05 * real.mean()

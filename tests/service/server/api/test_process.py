@@ -21,7 +21,7 @@ from service.settings import ServerSettings
 from tests.service.server.api.server import migrate, png
 from tests.waiting import PATIENCE_S, until
 
-HEAVY = ("numpy", "scipy", "numba", "matplotlib", "PIL", "skimage", "trimesh", "optics")
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "PIL", "skimage", "trimesh")
 START = [sys.executable, "-m", "service.server.api.main"]
 
 
