@@ -58,6 +58,8 @@ Check = TypeVar("Check", PassCheck, AroundCheck, PolishCheck)
 
 CHIPS_WITHIN = 0.97
 """Share of the cutting time whose chips must be within the material's band; less is worth a warning."""
+REACHED_SHARE = 0.9
+"""Share of the written feed from which the mill counts as reaching it."""
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
@@ -212,14 +214,16 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
     chips = verdict.chips
     if chips is None or chips.share >= CHIPS_WITHIN:
         return
-    (below_s, _, above_s), whole_s = chips.asked_s, sum(chips.asked_s)
+    (below_s, _, above_s), whole_s = chips.seconds, sum(chips.seconds)
     least_mm, most_mm = spec.chip_mm
+    teeth_per_min = spec.flutes * spec.spindle_rpm
     if below_s >= above_s:
+        reaches = chips.thinnest_mm > REACHED_SHARE * chips.written_mm
         yield Phrase(
             "chips are too thin for {percent:.0f} % of the cutting time: edges rub and heat ({thin_um:.1f} µm per "
-            "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; longest in line "
-            "{line} at X{x_mm:.2f} Y{y_mm:.2f}); it takes {rpm:.0f} rpm or, where the spindle cannot turn so slowly, "
-            "fewer flutes or a higher feed",
+            "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; the longest stretch "
+            "ends in line {line} at X{x_mm:.2f} Y{y_mm:.2f}); {feed}; it takes {rpm:.0f} rpm or, where the spindle "
+            "cannot turn so slowly, {cure}",
             percent=100 * below_s / whole_s,
             thin_um=1000 * chips.thinnest_mm,
             flutes=spec.flutes,
@@ -228,7 +232,16 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
             line=chips.line,
             x_mm=chips.x_mm,
             y_mm=chips.y_mm,
+            feed=Phrase("F{feed_mm_per_min:.0f} is too low there", feed_mm_per_min=chips.written_mm * teeth_per_min)
+            if reaches
+            else Phrase(
+                "of F{feed_mm_per_min:.0f} the mill reaches F{reached_mm_per_min:.0f} there, because it speeds up, "
+                "brakes or waits for lines",
+                feed_mm_per_min=chips.written_mm * teeth_per_min,
+                reached_mm_per_min=chips.thinnest_mm * teeth_per_min,
+            ),
             rpm=spec.spindle_rpm * chips.thinnest_mm / least_mm,
+            cure=Phrase("fewer flutes or a higher feed") if reaches else Phrase("fewer flutes"),
         )
     else:
         yield Phrase(
@@ -239,7 +252,7 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
             most_um=1000 * most_mm,
             flutes=spec.flutes,
             spindle_rpm=spec.spindle_rpm,
-            most_mm_per_min=most_mm * spec.flutes * spec.spindle_rpm,
+            most_mm_per_min=most_mm * teeth_per_min,
         )
 
 
