@@ -274,6 +274,11 @@ def stage_of(name: str) -> Stage:
     return _pass(int(number))
 
 
+def is_of_programs(stage: str) -> bool:
+    """Return whether a stage writes or checks programs."""
+    return stage.startswith("pass-") or stage == "check"
+
+
 def _pass(number: int) -> Stage:
     """Return the stage of a pass, which cuts the stock that the pass before has left. The first also checks that all
     balls fit.
