@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 
-from cam.around.check import AroundCheck, CheckedMill
-from cam.checking.collision import Clamps
-from cam.checking.move_rules import Finding, describe_spindle_off
-from cam.duration import DurationModel, is_block
+from cam.around.watch import AroundCheck, CheckedMill, Watch
+from cam.checking.move_rules import Finding
+from cam.duration import is_block
 from cam.moves import Array
 from cam.passes import Stock
 from cam.polish.cut import PolishCut
@@ -31,11 +30,8 @@ from phrases.phrase import Phrase
 
 _DEEPER, _SHALLOWER = 1.15, 0.85  # of the compression
 _WALL_MM = 0.05  # by which cells of the stock may come deeper into the bob, beside the compression
-_RAPID_CLEARANCE_MM = 0.5
 _SAMPLE_MM = 0.2  # between two samples of a move
 _WALL_SAMPLES = 3  # every so many are compared with the stock
-_AXES = "xyz"
-_NONE = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,11 +44,11 @@ class PolishCheck:
     """
 
     verdict: AroundCheck
-    at_mm: Array
-    tip_mm: Array
-    dwell_s: Array
-    compression_mm: tuple[float, float]
-    fastest_mm_per_s: float
+    at_mm: Array = field(default_factory=lambda: np.empty(0))
+    tip_mm: Array = field(default_factory=lambda: np.empty(0))
+    dwell_s: Array = field(default_factory=lambda: np.empty(0))
+    compression_mm: tuple[float, float] = (0.0, 0.0)
+    fastest_mm_per_s: float = 0.0
 
     @property
     def ok(self) -> bool:
@@ -85,21 +81,13 @@ class _Run:
     ) -> None:
         self._task, self._mill, self._stock_top = task, mill, stock_top
         self._surface: ToolSurface = cover(task, lens)
-        self._duration = DurationModel(mill.kinematics)
-        self._clamps = Clamps(stock.clamps, radius_mm=task.radius_mm)
-        self._highest_mm = float(stock_top.top_mm.max())
-        self._lines = self._bytes = self._moves = self._entries = 0
-        self._length_mm, self._airborne = 0.0, True
-        self._least, self._most = np.full(3, np.inf), np.full(3, -np.inf)
+        self._entries, self._airborne = 0, True
         self._ends: list[Array] = []
         self._polishing: list[tuple[Array, Array, np.ndarray]] = []  # start, end, line of moves on the lens
         self._block: list[np.ndarray] = []  # their numbers among the blocks of the duration model
         self._blocks = 0
         low, high = task.compression_mm * _SHALLOWER, task.compression_mm * _DEEPER
-        self._kinds = {
-            "rapid": Finding(says=lambda v: Phrase("is a rapid at or toward the lens or too near (allowed: none)")),
-            "low": Finding(says=lambda v: Phrase("is a rapid across at Z{z_mm:.3f}, below the safe height", z_mm=-v)),
-            "still": Finding(says=describe_spindle_off),
+        kinds = {
             "deep": Finding(
                 says=lambda v: Phrase(
                     "presses the bob {depth_mm:.3f} mm deep (allowed: {least_mm:.3f} to {most_mm:.3f} mm)",
@@ -132,27 +120,19 @@ class _Run:
                 )
             ),
         }
+        self._watch = Watch(kinds, stock=stock, stock_top=stock_top, mill=mill, radius_mm=task.radius_mm)
+        self._kinds = self._watch.kinds
 
     def add(self, batch: MoveBatch) -> None:
-        self._lines, self._bytes = batch.lines_read, batch.bytes_read
+        self._ends.append(self._watch.count(batch))
         if len(batch) == 0:
             return
-        self._ends.append(self._duration.add_batch(batch))
-        self._clamps.add(batch)
         start, end, line = batch.start_mm, batch.end_mm, batch.line
-        step = end - start
-        across = (step[:, :2] != 0).any(axis=1)
-        self._moves += int((batch.pause_s < 0).sum())
-        self._length_mm += float(np.linalg.norm(step, axis=1).sum())
-        self._least = np.minimum(self._least, batch.points_mm.min(axis=0))
-        self._most = np.maximum(self._most, batch.points_mm.max(axis=0))
-        low_z = np.minimum(start[:, 2], end[:, 2])
-        note = self._kinds
-        near = self._highest_mm + _RAPID_CLEARANCE_MM - low_z
-        note["rapid"].note_moves(batch.is_rapid & (near > 0) & (step[:, 2] <= 0), near, line, end)
-        note["low"].note_moves(batch.is_rapid & across & (low_z < self._mill.safe_z_mm - 1e-6), -low_z, line, end)
+        across = (end[:, :2] != start[:, :2]).any(axis=1)
+        self._watch.judge_rapids(batch, np.zeros(len(batch)))
         cuts = ~batch.is_rapid & (batch.pause_s < 0)
-        note["still"].note_moves(cuts & ~batch.spindle_on, np.full(len(batch), self._task.compression_mm), line, end)
+        pressed = np.full(len(batch), self._task.compression_mm)
+        self._kinds["still"].note_moves(cuts & ~batch.spindle_on, pressed, line, end)
         polishing = np.flatnonzero(cuts & across)
         aloft = batch.is_rapid | ~across
         self._entries += int((polishing.size > 0) and (self._airborne or bool(aloft[: polishing[0]].any())))
@@ -180,8 +160,10 @@ class _Run:
     def judge(self) -> PolishCheck:
         task = self._task
         if not any(line.size for _, _, line in self._polishing):
-            return self._end([Phrase("the bob never moves along the lens (allowed: only a program that polishes)")])
-        ends = np.concatenate([*self._ends, self._duration.list_waiting_s()])
+            never = Phrase("the bob never moves along the lens (allowed: only a program that polishes)")
+            self._watch.faults.append(never)
+            return PolishCheck(verdict=self._verdict(0.0))
+        ends = np.concatenate([*self._ends, self._watch.duration.list_waiting_s()])
         took_s = np.diff(ends, prepend=0.0)
         start, end, line = (np.concatenate(column) for column in zip(*self._polishing, strict=True))
         dwell_s = took_s[np.concatenate(self._block)]
@@ -203,8 +185,8 @@ class _Run:
         )
         beyond = into - deep[some] - _WALL_MM - top.cell_mm / 2
         self._kinds["wall"].note_moves(beyond > 0, beyond, line[move][some], tip[some])
-        return self._end(
-            [],
+        return PolishCheck(
+            verdict=self._verdict(float(deep.max())),
             at_mm=at,
             tip_mm=tip,
             dwell_s=dwell_s[move] / parts[move],
@@ -212,38 +194,8 @@ class _Run:
             fastest_mm_per_s=float(fast.max()),
         )
 
-    def _end(
-        self,
-        faults: list[Phrase],
-        *,
-        at_mm: Array = _NONE,
-        tip_mm: Array = _NONE,
-        dwell_s: Array = _NONE,
-        compression_mm: tuple[float, float] = (0.0, 0.0),
-        fastest_mm_per_s: float = 0.0,
-    ) -> PolishCheck:
-        found = [sentence for kind in self._kinds.values() for sentence in kind.sentences]
-        return PolishCheck(
-            verdict=AroundCheck(
-                faults=(*found, *faults, *self._clamps.faults),
-                lines=self._lines,
-                bytes=self._bytes,
-                moves=self._moves,
-                path_length_mm=self._length_mm,
-                time_s=self._duration.seconds,
-                entries=self._entries,
-                max_engagement_mm=compression_mm[1],
-                gouge_um=0.0,
-                left_um=0.0,
-                bounds={axis: [float(self._least[d]), float(self._most[d])] for d, axis in enumerate(_AXES)},
-                stock_top=self._stock_top,
-            ),
-            at_mm=at_mm,
-            tip_mm=tip_mm,
-            dwell_s=dwell_s,
-            compression_mm=compression_mm,
-            fastest_mm_per_s=fastest_mm_per_s,
-        )
+    def _verdict(self, deepest_mm: float) -> AroundCheck:
+        return self._watch.verdict(self._stock_top, entries=self._entries, engagement_mm=deepest_mm)
 
 
 @njit(cache=True, nogil=True)

@@ -54,15 +54,13 @@ class LensKeptError(ServiceError):
 
     def __init__(self, error: ServiceError, stage: str, folder: Path) -> None:
         number = stage.removeprefix("pass-")
-        key = f"passes.{int(number) - 1}.KEY" if number.isdecimal() else "KEY"
+        is_pass = number.isdecimal()
+        what, key = (f"pass {number}", f"passes.{int(number) - 1}.KEY") if is_pass else ("this set-up", "KEY")
         self.exit_code = error.exit_code
         self.reason = Phrase("the folder holds no programs: {cause}", cause=error.lines[0])
-        words = Phrase(
-            "{stage} is refused, so {folder} holds the lens without programs; with another value, `causticmill cam "
-            "{folder} --set {key}=VALUE` writes them",
-            stage=stage.replace("-", " ", 1),
-            folder=folder,
-            key=key,
+        words = (
+            f"{what} is refused, so {folder} holds the lens without programs; with another value, "
+            f"`causticmill cam {folder} --set {key}=VALUE` writes them"
         )
         super().__init__(*error.lines, words)
 

@@ -10,8 +10,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cam.around.check import AroundCheck
 from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
+from cam.around.watch import AroundCheck
 from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
@@ -73,7 +73,6 @@ def run_pass(context: StageContext) -> None:
     spec, stock = cam_passes_of(context.spec)[context.number - 1], cam_stock_of(context.spec)
     spec = replace(spec, max_rate_mm_per_min=context.machine.max_rate_mm_per_min)
     if context.number == 1:
-        require_millable(context, heightfield)
         stock_top = (
             first_stock(stock) if context.spec.stock.face is None else context.receive(FACED_STOCK, arrays.load_stock)
         )
@@ -103,8 +102,9 @@ def run_pass(context: StageContext) -> None:
         context.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
-def require_millable(context: StageContext, heightfield: Heightfield) -> None:
-    """Check everything about the balls of all passes and the travel that can be known before the first block."""
+def require_millable(context: StageContext) -> None:
+    """Check everything about the tools of all programs and the travel that can be known before the first block."""
+    heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     passes = cam_passes_of(context.spec)
     with context.watch.stage("fit"):
         form, depth_mm = LensForm.of(heightfield), -float(heightfield.z_mm.min())

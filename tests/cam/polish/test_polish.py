@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cam.around.check import CheckedMill
+from cam.around.watch import CheckedMill
 from cam.duration import Kinematics
 from cam.errors import PassValueError
 from cam.moves import Array, Motion

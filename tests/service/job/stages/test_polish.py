@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.around.check import CheckedMill
+from cam.around.watch import CheckedMill
 from cam.duration import Kinematics
 from cam.moves import Array
 from cam.parts import PassFrame, programs
