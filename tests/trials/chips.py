@@ -97,7 +97,7 @@ def measure_pass(
     thinned = replace(thinned, strategy="raster")
     parts = generate_parts(
         lens, thinned, stock, stock_top=top, post=POSTS[machine.dialect], safe_z_mm=machine.safe_z_mm,
-        number=number, setup=setup_of(machine),
+        number=number, setup=setup_of(machine, tool=number),
     )  # fmt: skip
     duration, chips = DurationModel(Kinematics.of(machine)), Chips(spec)
     grid = removal_of(spec.shape, top, radius_mm=spec.radius_mm)
