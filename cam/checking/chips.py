@@ -3,8 +3,8 @@ off, against the band of the material.
 
 The feed per tooth is what cutter makers tabulate, so it is what is compared with their bands. The chip itself is
 thinner: a ball of radius R that is a deep cuts at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2, 0.36
-where a finish takes R / 15 off; makers' figures for such cuts take that into account. The band is compared with the
-feeds that are written; what the mill reaches of them while it speeds up, brakes or waits for the link is measured too.
+where a finish takes R / 15 off; makers' figures for such cuts take that into account. The feed is what the mill
+reaches, by the same model as the program's time: less than is written while it speeds up, brakes or waits for lines.
 """
 
 from __future__ import annotations
@@ -31,30 +31,21 @@ _LENGTH, _FEED, _TEETH, _LINE, _X, _Y = range(6)  # columns of a block; _TEETH: 
 class ChipTime:
     """How long a program cuts [s] with chips below, within and above the band, and where it cuts thinnest.
 
-    reached_s, asked_s : by the feeds that the mill reaches, and by those that are written
-    thinnest_mm : mean chip of the time below the band; line, x_mm, y_mm: of its longest block; line 0: none
+    thinnest_mm : mean chip of the time below the band; written_mm: what the written feed would make there
+    line, x_mm, y_mm : end of the longest stretch below the band; line 0: none
     """
 
-    reached_s: tuple[float, float, float]
-    asked_s: tuple[float, float, float]
+    seconds: tuple[float, float, float]
     thinnest_mm: float
+    written_mm: float
     line: int
     x_mm: float
     y_mm: float
 
     @property
     def share(self) -> float:
-        """Share of the cutting time whose written feed makes chips within the band."""
-        return _within(self.asked_s)
-
-    @property
-    def reached_share(self) -> float:
-        """The same of the feeds that are reached: not while the mill speeds up, brakes or waits for lines."""
-        return _within(self.reached_s)
-
-
-def _within(seconds: tuple[float, float, float]) -> float:
-    return seconds[1] / sum(seconds) if sum(seconds) > 0 else 1.0
+        """Share of the cutting time whose chips are within the band."""
+        return self.seconds[1] / sum(self.seconds) if sum(self.seconds) > 0 else 1.0
 
 
 class Chips:
@@ -64,8 +55,8 @@ class Chips:
         self._spec = spec
         self._waiting = np.empty((0, 6))  # blocks whose time is not certain yet
         self._ended_s = 0.0
-        self._reached_s, self._asked_s = np.zeros(3), np.zeros(3)
-        self._thin_mm_s, self._longest_s, self._place = 0.0, 0.0, np.zeros(3)
+        self._seconds, self._thin_mm_s = np.zeros(3), np.zeros(2)
+        self._longest_s, self._place = 0.0, np.zeros(3)
 
     def add(self, batch: MoveBatch, drops: Drops, done_s: Array) -> None:
         """Add a batch. done_s : ends of the blocks that are certain now, as `DurationModel.add_batch` returns them."""
@@ -89,33 +80,31 @@ class Chips:
         cuts = blocks[:, _TEETH] > 0.0
         blocks, took_s = blocks[cuts], np.maximum(took_s[cuts], 1e-9)
         least_mm, most_mm = self._spec.chip_mm
-        asked_mm = blocks[:, _FEED] / blocks[:, _TEETH]
-        reached_mm = np.minimum(asked_mm, 60 * blocks[:, _LENGTH] / took_s / blocks[:, _TEETH])
-        for chip_mm, sums in ((asked_mm, self._asked_s), (reached_mm, self._reached_s)):
-            place = 1 + (chip_mm > most_mm * (1 + _ROUNDED)) - (chip_mm < least_mm * (1 - _ROUNDED))
-            sums += np.bincount(place, weights=took_s, minlength=3)
-        thin = np.flatnonzero(asked_mm < least_mm * (1 - _ROUNDED))
-        if thin.size:
-            self._thin_mm_s += float(asked_mm[thin] @ took_s[thin])
-            longest = thin[np.argmax(took_s[thin])]
-            if took_s[longest] > self._longest_s:
-                self._longest_s, self._place = float(took_s[longest]), blocks[longest, _LINE:]
+        written_mm = blocks[:, _FEED] / blocks[:, _TEETH]
+        chip_mm = np.minimum(written_mm, 60 * blocks[:, _LENGTH] / took_s / blocks[:, _TEETH])
+        place = 1 + (chip_mm > most_mm * (1 + _ROUNDED)) - (chip_mm < least_mm * (1 - _ROUNDED))
+        self._seconds += np.bincount(place, weights=took_s, minlength=3)
+        thin_s = np.where(place == 0, took_s, 0.0)
+        self._thin_mm_s += np.stack((chip_mm, written_mm)) @ thin_s
+        if thin_s.any():
+            firsts = np.flatnonzero(np.diff(place == 0, prepend=place[0] != 0))  # of stretches
+            stretches_s = np.add.reduceat(thin_s, firsts)
+            longest = int(np.argmax(stretches_s))
+            if stretches_s[longest] > self._longest_s:
+                last = np.append(firsts, place.size)[longest + 1] - 1
+                self._longest_s, self._place = float(stretches_s[longest]), blocks[last, _LINE:]
 
     def finish(self, waiting_s: Array) -> ChipTime:
         """Return the result. waiting_s : ends of the last blocks."""
         self._judge(waiting_s)
         line, x_mm, y_mm = map(float, self._place)
-        below_s = float(self._asked_s[0])
+        below_s, within_s, above_s = map(float, self._seconds)
+        thinnest_mm, written_mm = map(float, self._thin_mm_s / below_s if below_s else self._thin_mm_s)
         return ChipTime(
-            reached_s=_three(self._reached_s),
-            asked_s=_three(self._asked_s),
-            thinnest_mm=self._thin_mm_s / below_s if below_s else 0.0,
+            seconds=(below_s, within_s, above_s),
+            thinnest_mm=thinnest_mm,
+            written_mm=written_mm,
             line=int(line),
             x_mm=x_mm,
             y_mm=y_mm,
         )
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    below, within, above = map(float, values)
-    return below, within, above

@@ -68,7 +68,8 @@ def _gather(points, idle, feed, line, depth, left, right, radius, corner, group,
         state[_LENGTH] += length
         state[_LEFT] += left[k]
         state[_RIGHT] += right[k]
-        state[_FEED] += (feed[k] - state[_FEED]) * length / state[_LENGTH]  # the mean over the length
+        if left[k] + right[k] > 0.0:  # the mean over the volume: a row beside a turn takes hardly anything off
+            state[_FEED] += (feed[k] - state[_FEED]) * (left[k] + right[k]) / (state[_LEFT] + state[_RIGHT])
         if depth[k] >= state[_DEEPEST]:
             state[_DEEPEST], state[_LINE], state[_X], state[_Y] = depth[k], line[k], points[k + 1, 0], points[k + 1, 1]
         if state[_LENGTH] < group:

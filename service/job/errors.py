@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import ceil, isfinite
+from pathlib import Path
 
 from cam.errors import CamError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError
 from optics.errors import OpticsError, TotalReflectionError
 from phrases.phrase import Phrase
-from service.errors import FailedError, InputError, SpecError
+from service.errors import FailedError, InputError, ServiceError, SpecError
 
 _INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
 
@@ -46,6 +47,22 @@ class ReliefTooDeep(SolidError):
                 needed_mm=self.needed_mm,
             )
         )
+
+
+class LensKeptError(ServiceError):
+    """A stage refused programs, and the folder holds the lens without them. reason: for the lens's own report."""
+
+    def __init__(self, error: ServiceError, stage: str, folder: Path) -> None:
+        number = stage.removeprefix("pass-")
+        is_pass = number.isdecimal()
+        what, key = (f"pass {number}", f"passes.{int(number) - 1}.KEY") if is_pass else ("this set-up", "KEY")
+        self.exit_code = error.exit_code
+        self.reason = Phrase("the folder holds no programs: {cause}", cause=error.lines[0])
+        words = (
+            f"{what} is refused, so {folder} holds the lens without programs; with another value, "
+            f"`causticmill cam {folder} --set {key}=VALUE` writes them"
+        )
+        super().__init__(*error.lines, words)
 
 
 @contextmanager

@@ -1,9 +1,9 @@
 """The folder of a job: names, atomic writes, and the staging folder from which a finished job is put in place.
 
 Theory of operation: a command works in a hidden folder, inside the output folder where there is one (it may be a mount
-of its own, into which nothing can be renamed from outside), else beside its future place. Only when all has succeeded
-are the files renamed into the output folder, report.json last; failure or Ctrl-C removes the hidden folder and nothing
-else. A file that is renamed over another is complete at every moment.
+of its own, into which nothing can be renamed from outside), else beside its future place. Only when all has succeeded,
+or the lens at least (`pipeline.make`), are the files renamed into the output folder, report.json last; failure or
+Ctrl-C removes the hidden folder and nothing else. A file that is renamed over another is complete at every moment.
 """
 
 from __future__ import annotations

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from phrases.phrase import Phrase
-from service.errors import printable
+from service.errors import ServiceError, printable
 from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
-from service.job.errors import translate_errors
+from service.job.errors import LensKeptError, translate_errors
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.context import PictureQueue, StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.preload import DRAWING
-from service.job.stages.table import JobSoFar, plan, reads, stage_of
+from service.job.stages.table import JobSoFar, is_of_programs, plan, reads, stage_of
 from service.progress import Reporter, Stopwatch
 
 _LAST = "report"
@@ -59,6 +59,18 @@ class FolderJob:
         for name in [one for one in self.desk if one.startswith(".") and one not in wanted]:
             del self.desk[name]
 
+    def keep_lens(self, lens: JobSoFar, error: LensKeptError) -> None:
+        """Go back to the job as it was with its lens: no program is left, not even one that passed its check, because
+        the mill's rules have not been applied to them all.
+        """
+        self.work(lambda context: context.picture_queue.finish())
+        for path in self.folder.iterdir():
+            if path.name not in (*job_files.LENS_FILES, *job_files.LIGHT_FILES):
+                path.unlink()
+        self.so_far = lens
+        self.work(lambda context: context.note("passes", error.reason))
+        self.run(_LAST)
+
     def work(self, function: Callable[[StageContext], None], *, number: int = 0) -> None:
         """Call a stage's function and add its results to the report and the notes."""
         context = StageContext(
@@ -80,13 +92,30 @@ class FolderJob:
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """Run the whole chain; return what report.json holds."""
+    """Run the whole chain; return what report.json holds.
+
+    Where a program is refused, a new folder keeps the lens as `design` leaves it, and LensKeptError is raised; a folder
+    with an earlier job stays as it is.
+    """
     job_files.require_usable_output(output, force=force)
+    is_new = not (output / job_files.REPORT).exists()
+    kept: LensKeptError | None = None
     with _job(output, job, reporter, picture=picture) as folder_job:
+        lens = folder_job.so_far
         for stage in folder_job.so_far.stages():
-            folder_job.run(stage)
+            try:
+                folder_job.run(stage)
+            except ServiceError as error:
+                if not (is_new and is_of_programs(stage)):
+                    raise
+                kept = LensKeptError(error, stage, output)
+                folder_job.keep_lens(lens, kept)
+                break
             if stage == _LENS[-1]:
+                lens = replace(folder_job.so_far)
                 folder_job.work(_warn_of_shortage)
+    if kept is not None:
+        raise kept
     return folder_job.so_far.report
 
 

@@ -2,7 +2,8 @@
 
 Programs are made as a job makes them, but of lenses with 128 pixels, into a coarse block, and exact rows of a finish
 are thinned to some hundred: their feed is the same in every row. The chip is feed over (speed x flutes), as cutter
-makers tabulate it, over the time in which the cutter takes stock off (`cam.checking.chips`).
+makers tabulate it, of the feed that the mill reaches, over the time in which the cutter takes stock off
+(`cam.checking.chips`).
 
     python -m tests.trials.chips [WORD]...        # only rows with these words: a profile, a picture, "30", "paper"
 """
@@ -69,12 +70,11 @@ def _measure(name: str, machine: str, picture: str, size_mm: float, preset: str)
 
 
 def describe(spec: PassSpec, chips: ChipTime) -> str:
-    (below_s, _, above_s), (least_mm, most_mm) = chips.asked_s, spec.chip_mm
+    (below_s, _, above_s), (least_mm, most_mm) = chips.seconds, spec.chip_mm
     chip_mm = spec.feed_mm_per_min / spec.spindle_rpm / spec.flutes
     return (
         f"R{spec.radius_mm:g} Z{spec.flutes} F{spec.feed_mm_per_min:g} S{spec.spindle_rpm:g}: {chip_mm:.3f} mm, band "
-        f"{least_mm:g} to {most_mm:g}; below {below_s:.0f} s, above {above_s:.0f} s of {sum(chips.asked_s):.0f} s; as "
-        f"reached {100 * chips.reached_share:.1f} %"
+        f"{least_mm:g} to {most_mm:g}; below {below_s:.0f} s, above {above_s:.0f} s of {sum(chips.seconds):.0f} s"
     )
 
 
@@ -97,7 +97,7 @@ def measure_pass(
     thinned = replace(thinned, strategy="raster")
     parts = generate_parts(
         lens, thinned, stock, stock_top=top, post=POSTS[machine.dialect], safe_z_mm=machine.safe_z_mm,
-        number=number, setup=setup_of(machine),
+        number=number, setup=setup_of(machine, tool=number),
     )  # fmt: skip
     duration, chips = DurationModel(Kinematics.of(machine)), Chips(spec)
     grid = removal_of(spec.shape, top, radius_mm=spec.radius_mm)

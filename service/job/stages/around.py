@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing, check_witness
+from cam.around.check import check_cut_out, check_facing, check_witness
 from cam.around.paths import find_highest_along, make_cut_out_paths, make_facing_paths, make_witness_paths
 from cam.around.specs import CutOut, Facing, WitnessCut
+from cam.around.watch import AroundCheck, CheckedMill
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs

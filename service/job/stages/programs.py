@@ -10,8 +10,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cam.around.check import AroundCheck
 from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
+from cam.around.watch import AroundCheck
 from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
@@ -57,6 +57,8 @@ Check = TypeVar("Check", PassCheck, AroundCheck)
 
 CHIPS_WITHIN = 0.97
 """Share of the cutting time whose chips must be within the material's band; less is worth a warning."""
+REACHED_SHARE = 0.9
+"""Share of the written feed from which the mill counts as reaching it."""
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
@@ -70,7 +72,6 @@ def run_pass(context: StageContext) -> None:
     spec, stock = cam_passes_of(context.spec)[context.number - 1], cam_stock_of(context.spec)
     spec = replace(spec, max_rate_mm_per_min=context.machine.max_rate_mm_per_min)
     if context.number == 1:
-        require_millable(context, heightfield)
         stock_top = (
             first_stock(stock) if context.spec.stock.face is None else context.receive(FACED_STOCK, arrays.load_stock)
         )
@@ -100,8 +101,9 @@ def run_pass(context: StageContext) -> None:
         context.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
-def require_millable(context: StageContext, heightfield: Heightfield) -> None:
-    """Check everything about the balls of all passes and the travel that can be known before the first block."""
+def require_millable(context: StageContext) -> None:
+    """Check everything about the tools of all programs and the travel that can be known before the first block."""
+    heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     passes = cam_passes_of(context.spec)
     with context.watch.stage("fit"):
         form, depth_mm = LensForm.of(heightfield), -float(heightfield.z_mm.min())
@@ -211,14 +213,16 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
     chips = verdict.chips
     if chips is None or chips.share >= CHIPS_WITHIN:
         return
-    (below_s, _, above_s), whole_s = chips.asked_s, sum(chips.asked_s)
+    (below_s, _, above_s), whole_s = chips.seconds, sum(chips.seconds)
     least_mm, most_mm = spec.chip_mm
+    teeth_per_min = spec.flutes * spec.spindle_rpm
     if below_s >= above_s:
+        reaches = chips.thinnest_mm > REACHED_SHARE * chips.written_mm
         yield Phrase(
             "chips are too thin for {percent:.0f} % of the cutting time: edges rub and heat ({thin_um:.1f} µm per "
-            "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; longest in line "
-            "{line} at X{x_mm:.2f} Y{y_mm:.2f}); it takes {rpm:.0f} rpm or, where the spindle cannot turn so slowly, "
-            "fewer flutes or a higher feed",
+            "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; the longest stretch "
+            "ends in line {line} at X{x_mm:.2f} Y{y_mm:.2f}); {feed}; it takes {rpm:.0f} rpm or, where the spindle "
+            "cannot turn so slowly, {cure}",
             percent=100 * below_s / whole_s,
             thin_um=1000 * chips.thinnest_mm,
             flutes=spec.flutes,
@@ -227,7 +231,16 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
             line=chips.line,
             x_mm=chips.x_mm,
             y_mm=chips.y_mm,
+            feed=Phrase("F{feed_mm_per_min:.0f} is too low there", feed_mm_per_min=chips.written_mm * teeth_per_min)
+            if reaches
+            else Phrase(
+                "of F{feed_mm_per_min:.0f} the mill reaches F{reached_mm_per_min:.0f} there, because it speeds up, "
+                "brakes or waits for lines",
+                feed_mm_per_min=chips.written_mm * teeth_per_min,
+                reached_mm_per_min=chips.thinnest_mm * teeth_per_min,
+            ),
             rpm=spec.spindle_rpm * chips.thinnest_mm / least_mm,
+            cure=Phrase("fewer flutes or a higher feed") if reaches else Phrase("fewer flutes"),
         )
     else:
         yield Phrase(
@@ -238,7 +251,7 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
             most_um=1000 * most_mm,
             flutes=spec.flutes,
             spindle_rpm=spec.spindle_rpm,
-            most_mm_per_min=most_mm * spec.flutes * spec.spindle_rpm,
+            most_mm_per_min=most_mm * teeth_per_min,
         )
 
 

@@ -148,13 +148,24 @@ _BEFORE = (
         spec=(*_BENCH, "optics.viewed_from", "finish"),
         parts=(("caustic", 0.5), ("tolerances", 0.5)),
     ),
+    Stage(
+        name="fit",
+        function="service.job.stages.programs:require_millable",
+        reads=("heightfield.npz",),
+        spec=(
+            *(*_BLOCK, *_UNDER_HEAD, "optics.min_radius_mm", "machine.travel_mm", "machine.safe_z_mm"),
+            *(f"passes.*.{key}" for key in ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")),
+            *(f"passes.*.{key}" for key in ("stick_out_mm", "stock_to_leave_mm", "step_down_mm")),
+        ),
+        parts=(("fit", 1.0),),
+    ),
 )
 _PASS = Stage(
     name="pass-*",
     function="service.job.stages.programs:run_pass",
     reads=("heightfield.npz",),
     spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS, "stock.material"),
-    parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
+    parts=(("write", 0.3), ("check", 0.7)),
 )
 _AROUND = "service.job.stages.around"
 _FACE = Stage(
@@ -265,16 +276,17 @@ def stage_of(name: str) -> Stage:
     return _pass(int(number))
 
 
+def is_of_programs(stage: str) -> bool:
+    """Return whether a stage writes programs, or checks them or their tools."""
+    return stage.startswith("pass-") or stage in ("fit", "check")
+
+
 def _pass(number: int) -> Stage:
-    """Return the stage of a pass, which cuts the stock that the pass before has left. The first also checks that all
-    balls fit.
-    """
+    """Return the stage of a pass, which cuts the stock that the pass before has left."""
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
-        tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm", "stick_out_mm")
-        fit = (*(f"passes.*.{key}" for key in (*tool, "stock_to_leave_mm", "step_down_mm")), "optics.min_radius_mm")
         reads = (*_PASS.reads, ".stock-0.npz")
-        spec = (*own, *fit, *_UNDER_HEAD, "faced", "own_beginning")
+        spec = (*own, "faced", "own_beginning")
         return replace(_PASS, name="pass-1", number=1, spec=spec, reads=reads)
     reads = (*_PASS.reads, f".stock-{number - 1}.npz")
     return replace(_PASS, name=f"pass-{number}", number=number, spec=own, reads=reads)
@@ -310,6 +322,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
         "map": 0.1 + method_s * pixels,
         "heightfield": 0.7 + 0.8 * pixels,
         "caustic": 1.0 + 4.0 * beams * pixels,
+        "fit": 0.2 + 0.2 * pixels,
         "check": 0.7,
         "as-milled": 1.0,
         "as-finished": 3.0 + 8.0 * pixels,

@@ -210,6 +210,7 @@ const STAGES = {
   map: t("Shape the lens"),
   heightfield: t("Check its surface"),
   caustic: t("Simulate its light"),
+  fit: t("Check that tools and block fit"),
   "pass-face": t("Make and check the facing of the block"),
   "pass-witness": t("Make and check the witness marks"),
   "pass-cut-out": t("Make and check the cutting out"),

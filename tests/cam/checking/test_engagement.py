@@ -38,11 +38,10 @@ def batch_of(points, feed=None) -> MoveBatch:
     )
 
 
-def watched(*passes, feed=None) -> Engagement:
-    """Paths cut one after the other into a flat block 12 x 8 mm; only the last is watched."""
-    grid = RemovalGrid(
-        StockGrid(x0_mm=0, y0_mm=0, cell_mm=CELL, top_mm=np.zeros((160, 240))), radius_mm=SPEC.radius_mm, shares=2
-    )
+def watched(*passes, feed=None, top=None) -> Engagement:
+    """Paths cut one after the other into a block 12 x 8 mm, flat unless its top is given; only the last is watched."""
+    stock = StockGrid(x0_mm=0, y0_mm=0, cell_mm=CELL, top_mm=np.zeros((160, 240)) if top is None else top)
+    grid = RemovalGrid(stock, radius_mm=SPEC.radius_mm, shares=2)
     for points in passes[:-1]:
         grid.cut(batch_of(points))
     engagement = Engagement(SPEC, cell_mm=CELL)
@@ -94,6 +93,15 @@ def test_a_slow_move_is_not_fast_for_the_end_of_a_fast_one_before_it():
     points = [(-3.0, 4.0, -0.5), (1.0, 4.0, -0.5), (1.0 + CELL, 4.0, -0.5), (12.0, 4.0, -0.5)]
     slow = 0.5 * SPEC.feed_mm_per_min
     assert watched(points, feed=[slow, 2 * slow, slow]).faults == []
+
+
+@pytest.mark.parametrize(("ribs", "gaps", "faulty"), [(0.5, 1.0, False), (1.0, 0.1, True)])
+def test_a_slot_is_as_fast_as_its_stock_is_cut(ribs, gaps, faulty):
+    """Turns and row ends share a stretch: the feed where hardly anything is cut neither spoils nor saves it."""
+    top = np.where(np.arange(240) % 8 < 5, 0.0, -1.0) + np.zeros((160, 1))  # 0.25 mm of stock, 0.15 mm of none
+    x = np.sort(np.concatenate([8 * CELL * np.arange(30), 8 * CELL * np.arange(30) + 5 * CELL]))
+    feeds = SPEC.feed_mm_per_min * np.resize([ribs, gaps], x.size - 1)
+    assert bool(watched([(one, 4.0, -0.5) for one in x], feed=feeds, top=top).faults) is faulty
 
 
 def test_a_plunge_is_named_and_a_ramp_is_none():

@@ -18,9 +18,10 @@ SPEC = replace(
 )  # fmt: skip
 
 
-def verdict(below_s: float, within_s: float, above_s: float) -> Any:
-    seconds = (below_s, within_s, above_s)
-    chips = ChipTime(reached_s=seconds, asked_s=seconds, thinnest_mm=0.0125, line=77, x_mm=1.0, y_mm=2.0)
+def verdict(*seconds: float, written_mm: float = 0.0125) -> Any:
+    """Seconds below, within and above the band."""
+    assert len(seconds) == 3
+    chips = ChipTime(seconds=seconds, thinnest_mm=0.0125, written_mm=written_mm, line=77, x_mm=1.0, y_mm=2.0)
     return SimpleNamespace(chips=chips)
 
 
@@ -33,6 +34,12 @@ def test_thin_chips_are_named_with_their_place_and_the_speed_that_helps() -> Non
     (words,) = map(str, _of_chips(SPEC, verdict(40.0, 60.0, 0.0)))
     for part in ("too thin for 40 %", "12.5 µm", "2 flutes at 8000 rpm", "line 77 at X1.00 Y2.00", "takes 4000 rpm"):
         assert part in words
+    assert "F200 is too low" in words and "a higher feed" in words
+
+
+def test_a_feed_that_the_mill_does_not_reach_is_no_reason_to_ask_for_more() -> None:
+    (words,) = map(str, _of_chips(SPEC, verdict(40.0, 60.0, 0.0, written_mm=0.03125)))
+    assert "of F500 the mill reaches F200" in words and "a higher feed" not in words
 
 
 def test_thick_chips_are_named_with_the_feed_at_which_they_end() -> None:

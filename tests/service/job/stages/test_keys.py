@@ -84,7 +84,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("passes.1.pitch_mm", {"pass-2", "check", "as-milled"}),
         ("passes.1.feed_mm_per_min", {"pass-2", "check"}),
         ("passes.0.pitch_mm", {"pass-1", "check", "as-milled"}),
-        ("passes.1.radius_mm", {"pass-1", "pass-2", "check", "as-milled"}),  # the first pass says whether all balls fit
+        ("passes.1.radius_mm", {"fit", "pass-2", "check", "as-milled"}),
         ("optics.throw_mm", {"map", "caustic", "as-milled"}),
         ("optics.corrections", {"map"}),
         ("optics.polish", {"map"}),
@@ -100,21 +100,21 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("image.tone", {"image"}),
         ("image.pixels", {"image"}),
         ("image.prepare", {"irradiance"}),
-        ("stock.thickness_mm", {"heightfield", "pass-1", "pass-2", "check"}),
-        ("stock.skim_mm", {"map", "pass-1", "check"}),  # which hold the envelope against it
+        ("stock.thickness_mm", {"heightfield", "fit", "pass-1", "pass-2", "check"}),
+        ("stock.skim_mm", {"map", "fit", "check"}),  # which hold the envelope against it
         *((f"stock.{key}", {"caustic", "as-milled"}) for key in ("haze_percent", "back_flatness_mm", "back_period_mm")),
-        ("machine.safe_z_mm", {"pass-1", "pass-2", "check"}),
+        ("machine.safe_z_mm", {"fit", "pass-1", "pass-2", "check"}),
         ("machine.most_program_mb", {"pass-1", "pass-2", "check"}),
         ("machine.spindle_rpm", {"check"}),
         ("machine.screw_error_mm", {"check", "as-milled"}),
         ("machine.screw_lead_mm", {"check", "as-milled"}),
-        ("machine.profile", {"pass-1", "check"}),  # all its figures are given otherwise
+        ("machine.profile", {"fit", "check"}),  # all its figures are given otherwise
         ("machine.coolant", {"pass-1", "pass-2", "check"}),
         ("machine.work_offset", {"pass-1", "pass-2", "check"}),
         ("machine.collet_mm", {"check"}),
         ("machine.removal_cm3_per_min", {"check"}),
         ("machine.warm_up_s", {"pass-1", "check"}),
-        ("machine.trace_outline", {"pass-1", "check"}),
+        ("machine.trace_outline", {"fit", "pass-1", "check"}),
         ("preset", set()),
     ],
 )
@@ -130,8 +130,11 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
         ("optics.creases", {"map"}),
         ("image.prepare_detail_mm", {"irradiance"}),
         ("plan.hours", set()),  # the passes are given
-        ("stock.face", {"pass-1", "check"}),  # its stage is a further one; the first pass begins from another stock
-        ("stock.cut_out", {"pass-1", "pass-2", "check"}),  # which hands on what it leaves
+        (
+            "stock.face",
+            {"fit", "pass-1", "check"},
+        ),  # its stage is a further one; the first pass begins from another stock
+        ("stock.cut_out", {"fit", "pass-2", "check"}),  # the last pass hands on what it leaves; the first is the same
         ("finish.k0_rad_per_mm", {"map", "caustic", "as-milled"}),  # and the stage that only a finish brings
         ("finish.witness", {"pass-2", "check"}),  # the last pass hands on what it leaves
         ("machine.high_precision", set()),  # said to be none, or left so
@@ -143,7 +146,7 @@ def test_what_a_change_reaches_where_values_go_together(key: str, stages: set[st
     assert {stage for stage in STAGES if before[stage] != after[stage]} == stages | {"report"}
 
 
-UNDER_HEAD = {"pass-1", "check"}  # which hold the envelope against what is milled around the passes
+UNDER_HEAD = {"fit", "check"}  # which hold the envelope against what is milled around the passes
 FACED = {"stock.face": {"above_mm": 0.5}, "stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}
 
 
@@ -192,9 +195,9 @@ def test_witness_marks_do_not_depend_on_picture_and_wall() -> None:
 @pytest.mark.parametrize(
     ("light", "stages"),
     [
-        ({"kind": "collimated"}, {"heightfield", "pass-1", "pass-2", "check"}),
-        ({"kind": "sun"}, {"map", "caustic", "as-milled", "heightfield", "pass-1", "pass-2", "check"}),
-        (POINT["optics.light"], {"map", "caustic", "as-milled", "heightfield", "pass-1", "pass-2", "check"}),
+        ({"kind": "collimated"}, {"heightfield", "fit", "pass-1", "pass-2", "check"}),
+        ({"kind": "sun"}, {"map", "caustic", "as-milled", "heightfield", "fit", "pass-1", "pass-2", "check"}),
+        (POINT["optics.light"], {"map", "caustic", "as-milled", "heightfield", "fit", "pass-1", "pass-2", "check"}),
     ],
 )
 def test_the_block_s_thickness_is_the_lens_s_business_where_light_slants(
@@ -219,7 +222,7 @@ def test_the_ball_of_the_finish_pass_shapes_the_lens_unless_the_person_said_anot
         keys_of(spec_of({"optics.min_radius_mm": None, "passes.1.radius_mm": radius})) for radius in (3.0, 2.5)
     )
     assert {stage for stage in STAGES if before[stage] != after[stage]} == {
-        "map", "pass-1", "pass-2", "check", "as-milled", "report",
+        "map", "fit", "pass-2", "check", "as-milled", "report",
     }  # fmt: skip
 
 

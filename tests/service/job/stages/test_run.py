@@ -68,7 +68,8 @@ def test_a_damaged_and_a_black_picture_are_refused_by_their_name(job: StagedJob,
 def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> None:
     """The feed it carries is that of way and time; one that carries all of it is not told of."""
     slow = staged_job(tmp_path, "machine.lines_per_s=20").run_all(until="check", without=("caustic",))
-    row, (told,) = slow.report["passes"][1], slow.results["pass-2"].notes["passes"]
+    row, (told, thin) = slow.report["passes"][1], slow.results["pass-2"].notes["passes"]
+    assert "chips are too thin" in thin and "waits for lines" in thin
     found = re.search(r"F(\d+), but 20 lines a second carry F(\d+) .* (\d+) lines a second would", told)
     assert found is not None, told
     asked, carried, enough = map(float, found.groups())
@@ -107,7 +108,7 @@ def test_a_damaged_input_is_a_failure_not_the_persons_fault(job: StagedJob, tmp_
     ("values", "stage", "words"),
     [
         (("stock.thickness_mm=2.1",), "heightfield", "stock.thickness_mm"),
-        (("machine.travel_mm=[200,200,5.15]",), "pass-1", "machine.travel_mm.2"),
+        (("machine.travel_mm=[200,200,5.15]",), "fit", "machine.travel_mm.2"),
     ],
 )
 def test_what_does_not_fit_names_the_key(

@@ -124,6 +124,19 @@ def test_programs_are_offered_once_all_are_checked(server: ApiServer) -> None:
     problem(server.client.get(f"{address}/programs/0"), 422, "n")
 
 
+def test_a_job_whose_pass_fails_keeps_its_lens_and_offers_no_program(server: ApiServer) -> None:
+    """Pass 1 passed its check, pass 2 did not: the mill's rules have not been applied to either."""
+    job_id = server.submit()["id"]
+    server.put_artifact(job_id, "heightfield.npz", CONTENT, stage="map")
+    server.put_artifact(job_id, "pass-1-rough.nc", PROGRAM, stage="pass-1")
+    server.put_stage(job_id, "pass-2", "failed")
+    server.put_state(job_id, "failed")
+    address = f"/v1/jobs/{job_id}"
+    assert [row["name"] for row in server.client.get(f"{address}/artifacts").json()["artifacts"]] == ["heightfield.npz"]
+    assert server.client.get(f"{address}/artifacts/heightfield.npz").content == CONTENT
+    problem(server.client.get(f"{address}/programs/1"), 404)
+
+
 def test_the_listing_shows_what_is_offered_and_nothing_between_stages(server: ApiServer, job: str) -> None:
     rows = server.client.get(f"{job}/artifacts").json()["artifacts"]
     assert [row["name"] for row in rows] == ["empty.log", "heightfield.npz", "pass-1.log", "report.html"]
