@@ -66,7 +66,7 @@ def opened_with(
 
 @pytest.mark.parametrize("size", mostly_thorough(SIZES, quick=["phone"]))
 def test_a_mill_is_seen_and_held_from_every_screen(watched: Callable[..., Watched], size: str) -> None:
-    page, way = opened_with(watched, {"shop": ("running", {})}, size=size)
+    page, way = opened_with(watched, {"shop": ("running", {}), "attic": ("idle", {})}, size=size)
     record_orders(page)  # what is not answered at once is said twice
     for address in SCREENS:
         page.evaluate("address => { location.hash = address }", address)
