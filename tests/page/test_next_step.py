@@ -106,6 +106,8 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
         words = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True}, ticked=ticked)[2]
         assert "may not fit the travel" in words
         assert "may not" not in due(ALL_SET | UP, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
+        dry = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True, "lift_mm": 20}, ticked=ticked)
+        assert "load it less high, or start the dry pass" in dry[2], "what its button does is said beside it"
     after_another = ALL_SET | UP | {"needs": ["a program has ended"]}
     new_tool = due(after_another, run=RUN)
     assert new_tool[:2] == ["zero", "Z = 0 here"]
