@@ -36,7 +36,8 @@ def choose(page: Page, content: bytes, name: str = "portrait.png") -> None:
 
 def unfold(page: Page) -> None:
     """Whatever is folded for who does not need it, except the part for experts."""
-    page.evaluate("for (const one of document.querySelectorAll('.fold')) one.open = true")
+    page.evaluate("""() => document.querySelectorAll(".fold, .expert > details").forEach(
+        (one) => Object.assign(one, { name: "", open: true }))""")
 
 
 def refuse_picture(page: Page) -> None:

@@ -59,7 +59,7 @@ def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened:
         expect(left).to_have_text(words)
         assert left.evaluate("one => parseFloat(getComputedStyle(one).fontSize)") >= 24, "read from across the room"
         expect(page.locator(".step")).to_have_text("The program runs.")
-        page.evaluate("location.hash = '#/machines'")
+        page.evaluate("location.hash = '#/'")
 
 
 def test_the_readout_is_over_no_jog_key(opened: Opened) -> None:
@@ -120,8 +120,8 @@ def test_hold_and_stop_never_move_and_nothing_comes_into_their_place(opened: Ope
         found.append([page.get_by_role("button", name=name).bounding_box() for name in ("HOLD", "STOP")])
         expect(page.get_by_role("button", name="Resume")).to_be_visible(visible=state == "held")
         if state == "running":
-            page.evaluate("location.hash = '#/machines'")
-            expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+            page.evaluate("location.hash = '#/'")
+            expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
     assert found[0] == found[1]
 
 
@@ -153,8 +153,8 @@ def test_every_state_can_be_read_and_used_by_everybody(opened: Opened, size: str
             assert serious_faults(page) == [], state
         for name in ("HOLD", "STOP"):
             expect(page.get_by_role("button", name=name)).to_be_in_viewport(ratio=1)
-        page.evaluate("location.hash = '#/machines'")
-        expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+        page.evaluate("location.hash = '#/'")
+        expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
     assert serious_faults(page) == []
     assert len(set(heights.values())) == 1 and heights["idle"].endswith(" 0 more"), heights
 
@@ -334,7 +334,7 @@ def test_a_program_is_loaded_as_it_is_or_as_a_dry_pass(opened: Opened) -> None:
     page.get_by_text("Dry pass", exact=True).click()
     page.get_by_role("button", name="Load as a dry pass").click()
     page.wait_for_timeout(200)
-    assert [one.get("lift_mm") for one in sent] == [None, 20]
+    assert [one.get("lift_mm") for one in sent] == [None, 15], "the mill has no room for the usual 20"
 
 
 CLOCKS = """async ({ clocks, now }) => {
@@ -378,4 +378,15 @@ def test_after_the_last_pass_the_work_by_hand_has_a_clock_that_a_reload_keeps(op
     clock.get_by_role("button", name="From the beginning").click()
     expect(clock.get_by_role("timer")).to_have_text("10 min left")
     page.get_by_role("link", name="How it is done").click()
-    expect(page.locator(".finishing-part details")).to_have_attribute("open", "")
+    expect(page.locator(".finishing-part > details")).to_have_attribute("open", "")
+
+
+ROOM = """(mills) => import("/page/machine/place.js").then(({roomToLift}) => mills.map((mill) =>
+    String(roomToLift({mill, profile: {homing: true, safe_z_mm: 5}}))))"""
+
+
+def test_a_dry_pass_has_the_room_between_its_rapids_and_the_top_of_z(modules: Page) -> None:
+    """Zero at machine -20, rapids 5 mm above it: 15 mm are left, wherever the tool is; an unknown zero says nothing."""
+    at = [{"machine_mm": [-150, -150, z], "work_mm": [0, 0, z + 20], "position_trusted": True} for z in (-20, -3)]
+    lost = at[0] | {"position_trusted": False}
+    assert modules.evaluate(ROOM, [*at, lost]) == ["15", "15", "Infinity"]

@@ -383,7 +383,13 @@ def test_a_dozen_inputs_are_asked_for_and_all_other_keys_are_found_by_word_key_a
         expect(new_job.get_by_label(label, exact=True)).to_be_visible()
         expect(new_job.get_by_label("Margin around", exact=True)).to_be_hidden()
     new_job.get_by_label("Search all settings").fill("")
-    expect(new_job.get_by_label("Margin around", exact=True)).to_be_visible()
+    margin, group = new_job.get_by_label("Margin around", exact=True), new_job.locator(".expert summary")
+    expect(margin).to_be_hidden()
+    group.get_by_text("Stock", exact=True).click()
+    margin.fill("14")
+    expect(group.filter(has_text="Stock")).to_have_text("Stock1 changed")
+    group.get_by_text("Optics", exact=True).click()
+    expect(margin).to_be_hidden()  # one group is open at a time
 
 
 def test_a_margin_is_the_one_that_is_shown(new_job: Page, sent: list[Any]) -> None:

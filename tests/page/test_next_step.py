@@ -106,6 +106,8 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
         words = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True}, ticked=ticked)[2]
         assert "may not fit the travel" in words
         assert "may not" not in due(ALL_SET | UP, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
+        dry = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True, "lift_mm": 20}, ticked=ticked)
+        assert "load it less high, or start the dry pass" in dry[2], "what its button does is said beside it"
     after_another = ALL_SET | UP | {"needs": ["a program has ended"]}
     new_tool = due(after_another, run=RUN)
     assert new_tool[:2] == ["zero", "Z = 0 here"]
@@ -404,7 +406,7 @@ def test_what_is_held_goes_on_by_key_only_where_that_is_meant(opened: Opened) ->
 def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
     page = with_control(opened, "running")
     page.route("**/v1/machines/shop/control", lambda route: route.fulfill(status=204))
-    page.evaluate("location.hash = '#/machines'")
+    page.evaluate("location.hash = '#/'")
     toast = page.locator(".toast")
     expect(toast).to_contain_text("You keep control of shop for 10 minutes. pass-2-finish.nc goes on")
     toast.get_by_role("button", name="Back to it").click()
@@ -424,14 +426,14 @@ def test_who_leaves_the_view_to_read_keeps_control_for_a_while(opened: Opened) -
     released: list[str] = []
     page.on("request", lambda asked: released.append(asked.url) if asked.method == "DELETE" else None)
     page.route("**/v1/machines/shop/control", lambda route: route.fulfill(status=204))
-    page.evaluate("location.hash = '#/machines'")
+    page.evaluate("location.hash = '#/'")
     expect(page.locator(".toast")).to_contain_text("You keep control of shop for 10 minutes.")
     page.evaluate("location.hash = '#/machines/shop'")
     expect(page.get_by_text("You have control.")).to_be_visible()
     expect(page.locator(".toast")).to_have_count(0)  # it would lie over the next step of a phone
     assert released == []
-    page.evaluate("location.hash = '#/machines'")
-    expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+    page.evaluate("location.hash = '#/'")
+    expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
     page.evaluate("window.waits.at(-1)()")
     page.evaluate("location.hash = '#/machines/shop'")
     expect(page.get_by_role("button", name="Take over")).to_be_visible()

@@ -138,7 +138,7 @@ def of_a_plan(opened: Opened) -> Page:
 
 def of_two_jobs(opened: Opened) -> Page:
     page = compared(opened)
-    expect(page.get_by_role("slider", name="Wipe between")).to_be_visible()
+    expect(page.locator(".walls-compared img[src]")).to_have_count(2)
     return page
 
 

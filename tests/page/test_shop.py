@@ -66,7 +66,7 @@ def opened_with(
 
 @pytest.mark.parametrize("size", mostly_thorough(SIZES, quick=["phone"]))
 def test_a_mill_is_seen_and_held_from_every_screen(watched: Callable[..., Watched], size: str) -> None:
-    page, way = opened_with(watched, {"shop": ("running", {})}, size=size)
+    page, way = opened_with(watched, {"shop": ("running", {}), "attic": ("idle", {})}, size=size)
     record_orders(page)  # what is not answered at once is said twice
     for address in SCREENS:
         page.evaluate("address => { location.hash = address }", address)
@@ -189,12 +189,19 @@ def test_all_mills_of_the_shop_are_on_one_screen_each_with_its_hold(watched: Cal
     expect(page.locator("#mill .hold.taken")).to_be_visible()
 
 
+def test_the_only_mill_of_the_shop_opens_at_once(watched: Callable[..., Watched]) -> None:
+    page, _ = opened_with(watched, {"shop": ("idle", {})}, address="#/machines")
+    expect(page.get_by_role("heading", level=1, name="shop")).to_be_visible()
+    assert page.evaluate("location.hash") == "#/machines/shop"
+
+
 @pytest.mark.thorough
 def test_who_wants_to_be_is_notified_of_what_needs_a_hand_while_looking_elsewhere(
     watched: Callable[..., Watched],
 ) -> None:
     """Once each, and never before a person has asked for it."""
-    page, _ = opened_with(watched, {"shop": ("running", {})}, address="#/machines", script=NOTIFYING)
+    mills: Mills = {"shop": ("running", {}), "attic": ("idle", {})}
+    page, _ = opened_with(watched, mills, address="#/machines", script=NOTIFYING)
     notify = page.get_by_role("button", name="Notify me")
     expect(notify).to_have_attribute("aria-pressed", "false")
     assert page.evaluate("asked") == 0

@@ -99,9 +99,12 @@ def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bo
     page = opened(NOWHERE)
     told(page, "no-agent")
     machine: dict[str, Any] = MACHINE | {"remote": remote, "agent": ABSENT, "mill": None}
-    page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
+    page.route(
+        "**/v1/machines",
+        lambda route: route.fulfill(json={"machines": [machine, MACHINE | {"name": "attic"}], "problems": []}),
+    )
     page.evaluate("location.hash = '#/machines'")
-    expect(page.get_by_role("listitem")).to_contain_text(f"The computer beside the mill does not answer. {then}")
+    expect(page.get_by_role("listitem").first).to_contain_text(f"The computer beside the mill does not answer. {then}")
 
 
 def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:

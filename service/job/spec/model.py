@@ -62,7 +62,11 @@ class ImageSpec(Section):
     pixels: Annotated[
         int,
         Field(ge=16, le=MAX_PIXELS),
-        shown("Pixels across", "More shows finer detail where the mill can cut it, and takes longer to compute."),
+        shown(
+            "Pixels across",
+            "More shows finer detail where the mill can cut it, and takes longer to compute.",
+            card="picture",
+        ),
     ] = 512
     tone: Annotated[
         Literal["srgb", "linear"],

@@ -120,9 +120,7 @@ class OpticsSpec(Section):
         Field(ge=1.05, le=3.0),
         shown("Refractive index", "How strongly the material bends light: acrylic 1.49."),
     ] = USUAL_INDEX
-    screen_width_mm: Annotated[
-        Screen | None, shown("Picture width on the wall", card="lens", usual="like the lens")
-    ] = None
+    screen_width_mm: Annotated[Screen | None, shown("Picture width on the wall", usual="like the lens")] = None
     screen_height_mm: Annotated[Screen | None, shown("Picture height", usual="in proportion")] = None
     method: Annotated[
         Literal["transport", "paper"],

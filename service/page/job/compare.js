@@ -1,30 +1,27 @@
-/** Two jobs compared: their milled pictures under one wipe, and a table of all differences. */
+/** Two jobs compared: their walls beside each other, and below only that in which they differ. */
 import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
-import { toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
-import { capital, hours, jobName, mm, thousands } from "../lib/words.js";
-import { ON_THE_WALL, pictureShelf } from "./pictures.js";
+import { capital, hours, jobName, mm, passName } from "../lib/words.js";
 import { alikeWords } from "./eye_words.js";
-import { millSeconds, passesOf, smallestDetail } from "./figures.js";
+import { likenessOf, millSeconds, passesOf, passWords, smallestDetail } from "./figures.js";
+import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { settingWords, valueWords } from "./setting_words.js";
-import { wipe } from "./wipe.js";
 
 export default async function view(root, params, app) {
   const ids = [params.id, params.id2];
   const [sides] = await Promise.all([Promise.all(ids.map(load)), sheet("/page/job/job.css")]);
   const shelf = pictureShelf(), names = tellApart(sides.map(({ job }) => jobName(job)));
   app.title(t`${names[0]} and ${names[1]}`);
-  const links = ids.map((id, k) => h("a", { class: "button", href: `#/jobs/${id}` }, names[k]));
-  const turn = h("a", { class: "button quiet", href: `#/compare/${ids[1]}/${ids[0]}` }, t("Change sides"));
+  const turn = h("a", { class: "button", href: `#/compare/${ids[1]}/${ids[0]}` }, t("Change sides"));
   replace(
     root,
     h(
-      "div", { class: "job-view" },
-      h("header", { class: "job-head" }, h("h1", {}, t("Compare")), h("p", { class: "row" }, links, turn)),
-      h("div", { class: "job-columns" }, pictures(sides, names, shelf), figures(sides, names)),
-      settings(sides, names),
+      "div", { class: "job-view compare" },
+      h("header", { class: "job-head" }, h("h1", {}, t("Compare")), turn),
+      h("div", { class: "stage walls-compared" }, sides.map((side, k) => wall(side, names[k], shelf))),
+      h("section", { class: "card", "aria-labelledby": "compare-title" }, h("h2", { id: "compare-title" }, t("What differs")), ...differing(sides, names)),
     ),
   );
   return { leave: shelf.free };
@@ -41,91 +38,66 @@ function tellApart([a, b]) {
   return a === b ? [t`${a} (first)`, t`${b} (second)`] : [a, b];
 }
 
-function pictures(sides, names, shelf) {
-  const both = wipe();
-  const kinds = ON_THE_WALL.filter(({ name }) => sides.every(({ artifacts }) => artifacts.has(name))).reverse();
-  const title = h("h2", { id: "compare-pictures" }, t("Pictures"));
-  const part = (...inner) => h("section", { class: "card stack", "aria-labelledby": "compare-pictures" }, title, inner);
-  if (!kinds.length) return part(h("p", {}, t("One of these jobs has no pictures yet.")));
-  const show = async (kind) => {
-    try {
-      const urls = await Promise.all(sides.map(({ artifacts }) => shelf.get(artifacts.get(kind.name))));
-      both.show(...urls.map((url, k) => ({ words: names[k], url, alt: `${names[k]}, ${kind.title}: ${kind.note}` })));
-    } catch (error) {
-      toast(t`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
-    }
-  };
-  const choice = h(
-    "div", { class: "choice", role: "radiogroup", "aria-label": t("Which picture") },
-    kinds.map((kind, k) => {
-      const input = h("input", { type: "radio", name: "kind", checked: k === 0, onchange: () => show(kind) });
-      return h("label", {}, input, h("span", {}, kind.title));
-    }),
-  );
-  show(kinds[0]);
-  return part(choice, both.node);
+/** The last of a job's pictures of its wall: the nearest to what will be seen. */
+function wall({ job, artifacts }, name, shelf) {
+  const seen = ON_THE_WALL.findLast(({ name: file }) => artifacts.has(file)), picture = h("img", { alt: seen ? `${name}, ${seen.title}: ${seen.note}` : "" });
+  if (seen) shelf.get(artifacts.get(seen.name)).then((url) => (picture.src = url), () => {});
+  return h("figure", {}, picture, h("figcaption", {}, h("a", { href: `#/jobs/${job.id}` }, name), " ", h("small", {}, seen?.title ?? t("It has no pictures yet."))));
 }
 
 /** [name, formatter, better direction: 1 more, -1 less, 0 neither, getter of a job's value] */
 const FIGURES = [
-  [t("Time on the mill"), hours, -1, ({ job }) => millSeconds(job.report)],
-  [t("Smallest detail"), mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
-  [t("On the wall, as milled"), alikeWords, 1, ({ job }) => job.report?.as_milled?.seen_db],
-  [t("Likeness (PSNR)"), (value) => `${value.toFixed(1)} dB`, 1, ({ job }) => job.report?.as_milled?.psnr_db],
-  [t("Likeness of structure (SSIM)"), (value) => t`${value.toFixed(3)} of 1`, 1, ({ job }) => job.report?.as_milled?.ssim],
-  [t("On the wall, if polished"), alikeWords, 1, ({ job }) => job.report?.optics?.seen_db],
-  [t("Depth of the lens"), mm, 0, ({ job }) => job.report?.optics?.relief_mm],
-  [t("Steepest slope"), (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
-  [t("Lines of all programs"), thousands, 0, ({ job }) => linesOf(job.report)],
+  [t("Time on the mill"), hours, -1, ({ report }) => millSeconds(report)],
+  [t("Work by hand"), (minutes) => (minutes ? hours(60 * minutes) : t("none")), -1, ({ report }) => report && (report.finishing?.minutes ?? 0)],
+  [t("Smallest detail"), mm, -1, ({ spec, report }) => smallestDetail(spec, report)],
+  [t("On the wall"), alikeWords, 1, ({ report }) => likenessOf(report?.as_finished) ?? likenessOf(report?.as_milled)],
+  [t("Depth of the lens"), mm, 0, ({ report }) => report?.optics?.relief_mm],
 ];
 
-function linesOf(report) {
-  return report?.passes?.reduce((sum, row) => sum + (row.lines ?? 0), 0);
-}
-
-function figures(sides, names) {
-  const title = h("h2", { id: "compare-figures" }, t("Figures")), rows = FIGURES.map((figure) => figureRow(figure, sides));
-  return h("section", { class: "card", "aria-labelledby": "compare-figures" }, title, table(names, rows, { numbers: true }));
+/** The figures and settings that differ, a table of each; the keys of passes, which a line says in words, behind a fold. */
+function differing(sides, names) {
+  const jobs = sides.map(({ job }) => job), passes = jobs.map(passesOf);
+  const figures = FIGURES.map((figure) => figureRow(figure, jobs)).filter(Boolean);
+  const named = jobs.find((job) => passesOf(job).length) ?? jobs[0], spec = { ...named.spec, passes: passesOf(named) };
+  const line = ([key, ...values]) => row(capital(settingWords(key, spec)), values.map((value) => valueWords(key, value)));
+  const seen = ([key, here, there]) => valueWords(key, here) !== valueWords(key, there);
+  const all = differences(...jobs.map(specOf)).filter(seen), ofPasses = all.filter(([key]) => key.startsWith("passes."));
+  const most = Math.max(...passes.map(({ length }) => length));
+  const inWords = Array.from({ length: most }, (_, k) => {
+    const each = passes.map((list) => list[k]), texts = each.map((pass) => (pass ? passWords(pass) : "–"));
+    return texts[0] !== texts[1] && row(t`Pass ${k + 1} (${passName(each.find(Boolean).name)})`, texts);
+  });
+  const rows = [...figures, ...all.filter((one) => !ofPasses.includes(one)).map(line), ...inWords].filter(Boolean);
+  return [
+    rows.length > 0 || ofPasses.length > 0 ? table(names, rows) : h("p", {}, t("Nothing: both were made with the same settings.")),
+    ofPasses.length > 0 && h("details", {}, h("summary", {}, t("Every setting of the passes that differs")), table(names, ofPasses.map(line))),
+  ].filter(Boolean);
 }
 
 /** @param {any[]} figure */
-function figureRow([what, say, better, value], sides) {
-  const found = sides.map((side) => value(side) ?? null);
-  if (found.every((each) => each === null)) return null;
+function figureRow([what, say, better, value], jobs) {
+  const found = jobs.map((job) => value(job) ?? null);
   const texts = found.map((each) => (each === null ? "–" : say(each)));
-  const known = better !== 0 && texts[0] !== texts[1] && !found.includes(null);
-  const cells = texts.map((text, k) => {
-    const wins = known && (found[k] - found[1 - k]) * better > 0;
-    return h("td", { class: wins ? "number wins" : "number" }, wins ? winner(text) : text);
-  });
-  return h("tr", {}, h("th", { scope: "row" }, what), cells);
+  if (texts[0] === texts[1]) return null;
+  const known = better !== 0 && !found.includes(null);
+  return row(what, texts.map((text, k) => (known && (found[k] - found[1 - k]) * better > 0 ? winner(text) : text)));
 }
 
 function winner(text) {
-  return h("strong", {}, shape("good"), h("span", { class: "hidden-words" }, t("better: ")), ` ${text}`);
+  return h("strong", { class: "wins" }, shape("good"), h("span", { class: "hidden-words" }, t("better: ")), ` ${text}`);
 }
 
-function settings(sides, names) {
-  const cell = (key) => (value) => h("td", {}, valueWords(key, value));
-  const named = sides.find(({ job }) => passesOf(job).length)?.job ?? sides[0].job;
-  const spec = { ...named.spec, passes: passesOf(named) };
-  const seen = ([key, here, there]) => valueWords(key, here) !== valueWords(key, there);
-  const rows = differences(...sides.map(({ job }) => specOf(job))).filter(seen).map(([key, ...values]) =>
-    h("tr", {}, h("th", { scope: "row" }, capital(settingWords(key, spec))), values.map(cell(key))),
-  );
-  const title = h("h2", { id: "compare-settings" }, t("Settings that differ"));
-  const content = rows.length ? table(names, rows) : h("p", {}, t("None: both were made with the same settings."));
-  return h("section", { class: "card", "aria-labelledby": "compare-settings" }, title, content);
+function row(what, cells) {
+  return h("tr", {}, h("th", { scope: "row" }, what), cells.map((cell) => h("td", {}, cell)));
 }
 
-/** numbers: its columns are figures. */
-function table(names, rows, { numbers = false } = {}) {
-  const heads = names.map((name) => h("th", { scope: "col", class: numbers ? "number" : null }, name));
+function table(names, rows) {
+  const heads = names.map((name) => h("th", { scope: "col" }, name));
   return h("table", { class: "compare-table" }, h("thead", {}, h("tr", {}, h("td"), heads)), h("tbody", {}, rows));
 }
 
 function specOf(job) {
-  return { picture: job.image.sha256.slice(0, 12), ...job.spec, passes: passesOf(job) };
+  return { ...job.spec, passes: passesOf(job) };
 }
 
 /** [dotted key, value here, value there] of all differences between two values of JSON. */

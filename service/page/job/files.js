@@ -1,6 +1,6 @@
 /** Programs, with the way to the mill, and every other file of a job. */
 import { api } from "../lib/api.js";
-import { h, replace, write } from "../lib/dom.js";
+import { h, replace, svg, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { isGoing, mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
@@ -69,18 +69,26 @@ function row(job, program, mills) {
   const checked = programRows(job.report).find(({ file }) => file === program.name);
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
-  const facts = [seconds && hours(seconds), lines && t`${thousands(lines)} lines`, bytes(program.bytes)];
+  const size = [lines && t`${thousands(lines)} lines`, bytes(program.bytes)].filter(Boolean).join(", ");
   const alone = mills.length === 1, first = program === job.programs[0];
   const sends = mayBeMilled(job) && mills.map((mill, k) => sendLink(job, program, mill, { alone, first: first && k === 0 }));
-  const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save") });
+  const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save"), plain: true });
   return h(
     "li", {},
-    h(
-      "div", { class: "program-what" }, h("strong", {}, program.name),
-      h("span", { class: "dim" }, facts.filter(Boolean).join(", ")), pass && h("span", {}, passWords(pass)),
-    ),
+    cutterShape(pass),
+    h("div", { class: "program-what" }, h("strong", {}, program.name), pass && h("span", {}, passWords(pass)), h("small", { class: "dim" }, size)),
+    h("strong", { class: "program-time" }, seconds ? hours(seconds) : ""),
     h("div", { class: "row" }, sends, save),
   );
+}
+
+/** The end of the cutter of a pass, to scale up to 12 mm across. */
+function cutterShape(pass) {
+  const { radius_mm: radius, corner_radius_mm: corner } = pass ?? {};
+  if (!radius) return h("span");
+  const half = Math.max(1.5, Math.min(15, 2.5 * radius)), round = half * Math.min(1, (corner ?? radius) / radius);
+  const end = `M${16 - half} 2V${38 - round}a${round} ${round} 0 0 0 ${round} ${round}H${16 + half - round}a${round} ${round} 0 0 0 ${round} ${-round}V2`;
+  return svg("svg", { class: "cutter", viewBox: "0 0 32 40", width: 32, height: 40, "aria-hidden": "true" }, svg("path", { d: end }));
 }
 
 /** The pass that a program belongs to, by its name: "pass-2-finish.nc". */

@@ -22,7 +22,7 @@ export function finishingPart() {
     if (!finishing || key === shown) return;
     shown = key;
     title.textContent = t`Finishing by hand: ${finishing.title}`;
-    replace(body, warnings(report).map(warning), figures(report), finishing.minutes > 0 && workClock(job.id, finishing.minutes).node, finishing.steps.length > 0 && howTo(finishing, room?.advice));
+    replace(body, warnings(report).map(warning), finishing.minutes > 0 && workClock(job.id, finishing.minutes).node, howTo(finishing, room?.advice), reasons(report));
   }
   return { node, update };
 }
@@ -56,21 +56,25 @@ function warning(words) {
   return h("p", { class: "notice warn" }, shape("warn"), h("span", {}, words));
 }
 
-function figures(report) {
-  return h("dl", { class: "facts" }, finishingRows(report).map(([what, figure]) => h("div", {}, h("dt", {}, what), h("dd", {}, h("strong", {}, figure)))));
-}
-
+/** What is done, beside it what one needs and watches. */
 function howTo(finishing, atRims) {
-  const list = (tag, sentences) => h(tag, {}, sentences.map((words) => h("li", {}, words)));
+  const list = (tag, sentences) => sentences.length > 0 && h(tag, {}, sentences.map((words) => h("li", {}, words)));
   const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
   return h(
-    "div", {},
-    part(t("You need"), finishing.needs.length > 0 && list("ul", finishing.needs)),
-    part(t("Steps"), list("ol", finishing.steps)),
-    atRims && h("p", {}, atRims),
-    part(t("How much comes off"), finishing.removal && h("p", {}, finishing.removal)),
-    part(t("When to stop"), finishing.when_to_stop && h("p", {}, finishing.when_to_stop)),
-    part(t("What not to do"), finishing.donts.length > 0 && list("ul", finishing.donts)),
-    finishing.law && h("p", { class: "dim" }, t`Where the figures come from: ${finishing.law}`),
+    "div", { class: "how-to" },
+    h("div", {}, part(t("Steps"), list("ol", finishing.steps)), atRims && h("p", {}, atRims)),
+    h("div", {}, part(t("You need"), list("ul", finishing.needs)), part(t("When to stop"), finishing.when_to_stop && h("p", {}, finishing.when_to_stop)), part(t("What not to do"), list("ul", finishing.donts))),
+  );
+}
+
+/** What it does to the lens and the wall, and why: nobody needs it at the bench. */
+function reasons(report) {
+  const { removal, law } = report.finishing;
+  return h(
+    "details", {},
+    h("summary", {}, t("What it does to the lens")),
+    h("dl", { class: "facts" }, finishingRows(report).map(([what, figure]) => h("div", {}, h("dt", {}, what), h("dd", {}, h("strong", {}, figure))))),
+    removal && h("p", {}, removal),
+    law && h("p", { class: "dim" }, t`Where the figures come from: ${law}`),
   );
 }

@@ -80,32 +80,29 @@ function sentence(job, share, live, link) {
 const TRUST_S = 3; // of measured work, from which on the measure counts more than the usual
 const TELLING = 0.05; // share of a stage from which on its own pace says something
 const EITHER_WAY = 2; // what a stage may take longer than foreseen
-const UNPLANNED = 3; // the same while the passes are still to be planned
-const UNMEASURED = 4; // and while this computer's pace is not known: its first job compiles what all others find ready
-const MEASURED_S = 2; // of usual work done here, from which on the pace is known
-const SOME_MINUTES_S = 300;
+const MEASURED_S = 2; // of usual work done here, from which on the pace is known: the first job compiles what all others find ready
+const SOME_MINUTES_S = 600;
 
 /**
- * {low, high, measured}: seconds that are left of a running job, never less than is certain, and whether they are by the
- * pace of this computer; live: {stage, share} or null.
+ * {low, high, known}: seconds that are left of a running job, never less than is certain; known: the passes are planned, and
+ * the pace of this computer was measured. live: {stage, share} or null.
  */
 export function secondsLeft(job, live, now) {
   const pace = paceOf(job.stages);
   const planned = !job.stages.some(({ name, state }) => name === "passes" && state !== "committed" && state !== "reused");
-  let low = 0, known = 0;
+  let low = 0, paced = 0;
   for (const stage of job.stages) {
     const usual = pace * stage.usual_s, share = live?.stage === stage.name ? live.share : 0;
     if (stage.state === "running") low += ofRunning(stage, usual, share, now);
     else if (stage.state === "waiting" || stage.state === "interrupted") low += usual;
-    if (isPaced(stage)) known += stage.usual_s * ({ running: share, committed: 1, reused: 1 }[stage.state] ?? 0);
+    if (isPaced(stage)) paced += stage.usual_s * ({ running: share, committed: 1, reused: 1 }[stage.state] ?? 0);
   }
-  const measured = known >= MEASURED_S;
-  return { low, high: low * (!measured ? UNMEASURED : planned ? EITHER_WAY : UNPLANNED), measured };
+  return { low, high: low * EITHER_WAY, known: planned && paced >= MEASURED_S };
 }
 
-/** "about 3 min left", "3 to 5 min left", "less than a minute left"; "some minutes left at most" of a pace not known. */
-export function leftWords({ low, high, measured }) {
-  if (!measured && high < SOME_MINUTES_S) return t("some minutes left at most");
+/** "about 3 min left", "3 to 5 min left", "less than a minute left"; of what is not known only whether it takes minutes or longer. */
+export function leftWords({ low, high, known }) {
+  if (!known) return low < SOME_MINUTES_S ? t("a few minutes left") : t`at least ${Math.floor(low / 60)} min left`;
   const [from, to] = [low, high].map((seconds) => Math.ceil(seconds / 60));
   if (high < 60) return t("less than a minute left");
   if (to >= 120) return inHours(Math.round(low / 3600), Math.ceil(high / 3600));

@@ -13,7 +13,7 @@ export function camera(link) {
   const said = h("p", { class: "dim", role: "status" });
   const fold = h("details", { open: true, ontoggle: () => look() }, h("summary", {}, h("h2", { id: "camera-title" }, t("Camera"))), picture, said);
   const node = h("section", { class: "card camera", "aria-labelledby": "camera-title", hidden: true }, fold);
-  const now = { timer: 0, asking: false, closed: false, url: "" };
+  const now = { timer: 0, asking: false, closed: false }, change = blobPicture(picture);
   const isWanted = () => !now.closed && !node.hidden && fold.open && !document.hidden;
 
   async function look() {
@@ -29,22 +29,15 @@ export function camera(link) {
   async function show() {
     try {
       const response = await api.request("GET", link.machine.links.camera, { timeout_ms: TIMEOUT_MS, quiet: true });
-      change(URL.createObjectURL(await response.blob()));
+      const blob = await response.blob();
+      if (!now.closed) change(blob);
       write(said, "");
       return true;
     } catch {
-      change(""); // an old picture could be mistaken for the present state
+      change(null); // an old picture could be mistaken for the present state
       write(said, t("The camera does not answer with a picture."));
       return false;
     }
-  }
-
-  function change(url) {
-    if (now.url) URL.revokeObjectURL(now.url);
-    now.url = now.closed ? "" : url;
-    picture.hidden = !now.url;
-    if (now.url) picture.src = now.url;
-    else picture.removeAttribute("src");
   }
 
   document.addEventListener("visibilitychange", look);
@@ -58,7 +51,19 @@ export function camera(link) {
       now.closed = true;
       clearTimeout(now.timer);
       document.removeEventListener("visibilitychange", look);
-      change("");
+      change(null);
     },
+  };
+}
+
+/** Shows pictures that come as blobs in an img, null for none: (blob) => void. */
+export function blobPicture(img) {
+  let url = "";
+  return (blob) => {
+    if (url) URL.revokeObjectURL(url);
+    url = blob ? URL.createObjectURL(blob) : "";
+    img.hidden = !url;
+    if (url) img.src = url;
+    else img.removeAttribute("src");
   };
 }

@@ -1,4 +1,4 @@
-/** All mills of the shop on one screen: the state and progress of each, and HOLD, which keeps its place. */
+/** All mills of the shop on one screen: the state and progress of each, and HOLD, which keeps its place. The only one has its own screen at once. */
 
 import { api } from "../lib/api.js";
 import { h, replace, sheet, write } from "../lib/dom.js";
@@ -38,6 +38,8 @@ export default async function view(root, _params, app) {
   }
 
   await mills.look();
+  const { machines, problems } = mills.seen;
+  if (machines.length === 1 && !problems.length) return app.go(addressOf(machines[0].name), { instead: true }); // there is nothing to choose
   show();
   replace(root, h("div", { class: "list-head" }, h("h1", {}, t("Machines")), notifySwitch()), h("div", { class: "stack" }, faults, list, none));
   return { leave: mills.watch(show) };

@@ -6,8 +6,10 @@ import { t } from "../lib/language.js";
 import { isCut, isGoing, mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, refusalLine } from "./order_controls.js";
+import { roomToLift } from "./place.js";
 import { addressOf, whyNot } from "./words.js";
 
+const LIFT_MM = 20; // of a dry pass, where the mill has room for it
 const AGAIN_MS = 3000;
 const NONE_MS = 10_000;
 const STANDS = ["idle", "alarm", "check", "sleep", "door", "jog", "homing", "tool"];
@@ -22,7 +24,7 @@ export function loadCard(link, chosen) {
   // A late answer must not replace the program that was chosen meanwhile.
   const passes = h("select", { onchange: () => ((chosen = { job: jobs.value, program: passes.value }), link.changed()) });
   const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, t("Load onto the mill"));
-  const lift = h("input", { type: "number", min: 1, max: 200, step: "any", value: 20, required: true, inputMode: "decimal", oninput: () => link.changed() });
+  const lift = h("input", { type: "number", min: 1, max: 200, step: "any", value: LIFT_MM, required: true, inputMode: "decimal", oninput: () => ((lift.dataset.said = "yes"), link.changed()) });
   const dry = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value, lift.valueAsNumber)) }, t("Load as a dry pass"));
   const about = h("p", { class: "dim" }, t("The whole program runs so much higher, with spindle and coolant off, and cuts nothing. The pass still has to be cut afterwards."));
   const dryPart = h("details", { class: "probe" }, h("summary", {}, t("Dry pass")), h("div", { class: "probe-form" }, field(t("Higher by"), h("span", { class: "with-unit" }, lift, h("span", {}, "mm"))), dry), about);
@@ -122,6 +124,7 @@ export function loadCard(link, chosen) {
       load.classList.toggle("primary", nextStep.step === "load" && !nextStep.act);
       const able = why === "" && !link.busy && findPreset() !== null;
       enable([load], able);
+      if (!lift.dataset.said && link.machine) lift.valueAsNumber = Math.max(1, Math.floor(Math.min(LIFT_MM, roomToLift(link.machine))));
       enable([dry], able && lift.checkValidity());
     },
   };

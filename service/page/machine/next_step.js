@@ -19,6 +19,7 @@ const OFF = { label: t("Spindle off"), what: "spindle", body: { on: false } };
 const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
+const IN_DOUBT_TICKED = { false: t("From this zero the program may not fit the travel: set another zero, or start it."), true: t("So high it may not fit the travel: load it less high, or start the dry pass.") };
 const RAISE_MM_PER_MIN = 500;
 const [CLEAR_MM, UP_MM] = [1, 5]; // over the block, when a program may start; as far as one press goes
 const NAME = 28; // letters of a job's name
@@ -99,13 +100,13 @@ function findSetupStep(link, load, { ticked, named }) {
   if (!run?.open) return findLoadStep(run, load);
   if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
   if (run.state !== "parked") return makeStep("wait", t("see what is said of the program."), { go: "program" });
-  const doubt = run.travel_in_doubt && isZeroSet(machine, run, before) && { words: IN_DOUBT, kind: "warn", whole: true };
+  const doubt = run.travel_in_doubt && isZeroSet(machine, run, before) && { words: ticked || isDry(run) ? IN_DOUBT_TICKED[isDry(run)] : IN_DOUBT, kind: "warn", whole: true };
   const foreign = findForeignAxes(machine, run, before);
   const place = findPlaceStep(link, foreign);
   if (place) return place;
   if (ticked && machine.mill.spindle_on) return makeStep("spindle", t("switch the spindle off."), { act: OFF, bars: t("The spindle turns.") });
   if (ticked && !foreign.includes("Z")) return { ...(named ? makeStep("start", isDry(run) ? t("start the dry pass: nothing is cut.") : t("start the program."), { act: START }) : makeStep("tick", t("give your name, then start."), { go: "program" })), ...doubt };
-  return findZeroStep(machine, run.setup ?? {}, foreign) ?? findOffStep(machine) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
+  return findZeroStep(machine, run.setup ?? {}, foreign) ?? findOffStep(machine) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: doubt ? "jog" : "program" }), ...doubt };
 }
 
 /** Only a person knows whether X0 Y0 of another block fits this one; no program starts before the answer. */

@@ -47,6 +47,12 @@ export function riseToSafe({ mill, profile }) {
   return Math.max(0, Math.min(wanted, room));
 }
 
+/** How much higher than its zero a program may run, with its rapids above that, mm; Infinity if that is not known. */
+export function roomToLift({ mill, profile }) {
+  if (!profile?.homing || !isZeroKnown({ mill }, "Z") || mill.machine_mm[2] > 0) return Infinity;
+  return mill.work_mm[2] - mill.machine_mm[2] - (profile.safe_z_mm ?? 5);
+}
+
 /** Whether an axis is where homing leaves it, so that no one has moved the tool yet. */
 export function isAtHome({ mill, profile }, axes) {
   const travel = profile?.travel_mm;

@@ -87,11 +87,12 @@ function meter() {
   const share = h("strong", {});
   const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
   const line = h("span", {});
+  const live = h("div", { class: "row spread" }, line, notifySwitch());
   const left = h("span", { class: "left-over" });
   const when = h("p", { class: "when" });
   const whole = h("p", { class: "whole" });
   const wholeBar = h("progress", { class: "thin", max: 1, "aria-label": t("Cut of the whole job") });
-  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, when, h("div", { class: "row spread" }, line, notifySwitch()), whole, wholeBar);
+  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, when, live, whole, wholeBar);
   let [job, passes] = ["", []];
 
   async function learn(id) {
@@ -105,7 +106,9 @@ function meter() {
     node,
     update(run, simulated) {
       node.hidden = run.state === "preparing" || run.state === "refused";
-      write(share, percent(run.share));
+      const isParked = run.state === "parked";
+      bar.hidden = live.hidden = isParked || run.state === "finished";
+      write(share, isParked ? "" : percent(run.share));
       bar.value = run.share;
       write(line, run.lines ? t`line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
       const isOver = ["finished", "aborted"].includes(run.state);

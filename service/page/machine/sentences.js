@@ -25,7 +25,7 @@ export const STATES = {
 
 /** State of a run: [kind, word]. */
 export const RUN_STATES = {
-  preparing: ["busy", t("being handed to the mill")],
+  preparing: ["busy", t("being loaded")],
   refused: ["bad", t("refused")],
   lost: ["bad", t("lost")],
   parked: ["wait", t("waits for your start")],

@@ -3,6 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";
+import { blobPicture } from "./camera.js";
 import { refusalLine } from "./order_controls.js";
 
 const EVERY_MS = 120;
@@ -16,7 +17,7 @@ export function timelapse(link) {
   const bar = h("div", { class: "row", hidden: true }, play, place);
   const fold = h("details", { ontoggle: () => (fold.open ? words.run(look) : stop()) }, h("summary", {}, h("h2", { id: "timelapse-title" }, t("Timelapse"))), picture, bar, when, words.node);
   const node = h("section", { class: "card folded timelapse", "aria-labelledby": "timelapse-title", hidden: true }, fold);
-  const now = { run: "", pictures: [], timer: 0, url: "", shown: 0 };
+  const now = { run: "", pictures: [], timer: 0, shown: 0 }, change = blobPicture(picture);
 
   async function look() {
     const { id, links } = link.run;
@@ -25,7 +26,7 @@ export function timelapse(link) {
     now.pictures = pictures;
     place.max = Math.max(0, pictures.length - 1);
     place.value = place.max;
-    bar.hidden = !pictures.length;
+    bar.hidden = pictures.length < 2;
     if (pictures.length) await show();
     else write(when, t("No picture has been kept of this program."));
   }
@@ -37,7 +38,7 @@ export function timelapse(link) {
     const response = await api.request("GET", wanted.url, { quiet: true }).catch(() => null); // it may have made room meanwhile
     const blob = await response?.blob();
     if (!blob || turn !== now.shown) return;
-    change(URL.createObjectURL(blob));
+    change(blob);
     write(when, new Date(wanted.at).toLocaleString(locale, { dateStyle: "medium", timeStyle: "short", hourCycle: "h23" }));
   }
 
@@ -62,14 +63,6 @@ export function timelapse(link) {
     write(play, t("Play"));
   }
 
-  function change(url) {
-    if (now.url) URL.revokeObjectURL(now.url);
-    now.url = url;
-    picture.hidden = !url;
-    if (url) picture.src = url;
-    else picture.removeAttribute("src");
-  }
-
   return {
     node,
     update() {
@@ -79,11 +72,11 @@ export function timelapse(link) {
       Object.assign(now, { run: run?.id ?? "", pictures: [] });
       fold.open = false;
       stop();
-      change("");
+      change(null);
     },
     close() {
       stop();
-      change("");
+      change(null);
     },
   };
 }

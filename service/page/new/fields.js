@@ -25,7 +25,7 @@ export const START = SCHEMA.default;
 export const SPEC = [...rowsOf(SCHEMA)];
 
 const on = (card) => SPEC.filter((row) => row.card === card).sort((one, other) => Number(Boolean(other.first)) - Number(Boolean(one.first)));
-export const [MAIN, LENS, LIGHT, MILL, PICTURE] = ["main", "lens", "light", "mill", "picture"].map(on);
+export const [MAIN, LIGHT, MILL, PICTURE] = ["main", "light", "mill", "picture"].map(on);
 
 /** [title, rows] of the folded part: all rows without a card. */
 const FOLDED = SPEC.filter(({ card }) => !card);

@@ -1,9 +1,9 @@
 /** The form of a new job: rows that make a spec, and a spec that fills the rows. */
 
-import { h } from "../lib/dom.js";
+import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
-import { EXPERT, LENS, LIGHT, MAIN, MILL, PICTURE, START } from "./fields.js";
+import { EXPERT, LIGHT, MAIN, MILL, PICTURE, START } from "./fields.js";
 import { withProfiles } from "./machines.js";
 import { passes } from "./passes.js";
 import { readRow, row } from "./row.js";
@@ -16,20 +16,21 @@ const OTHERS = {
   kind: "json",
 };
 const OWN = ["machine.profile", "stock.thickness_mm", "finish.process"];
+const ONE_OPEN = "causticmill-settings"; // of folds of one name one is open
 const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 
 /**
- * {own, main, picture: elements, own of what a person has; settings: [[title, element]] of all others; isUsual(groups), read(), show(spec), blame(problems)}.
+ * {own, main, picture: elements, own of what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
- * as the server describes them.
+ * as the server describes them; last: a row that is no part of the spec.
  */
-export function specForm({ profiles, onChange, planned }) {
+export function specForm({ profiles, onChange, planned, last }) {
   const changed = () => {
     reveal();
     onChange();
   };
   const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: () => (keepShape(field.key), keepFinish(field.key), changed()) }));
-  const groups = { main: make(MAIN), lens: make(LENS), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
+  const groups = { main: make(MAIN), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
   const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
   const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
   const milling = passes({ onChange: changed, known: planned });
@@ -63,6 +64,7 @@ export function specForm({ profiles, onChange, planned }) {
       if (one.field.card === "main") one.disable(there ? "" : PLANNED_ONLY);
       else one.element.hidden = !there;
     }
+    settings.update(spec);
   }
 
   /** {spec: values that differ from the usual, faults: [{row, words}]}; a later row may decide whether a row is shown. */
@@ -118,10 +120,10 @@ export function specForm({ profiles, onChange, planned }) {
     return { placed: [...faults.keys()].sort(compareDown), unplaced };
   }
 
-  /** Whether all rows of "lens", "light"... are as usual. */
-  function isUsual(...asked) {
+  /** Whether all rows of "main", "light"... are as usual. */
+  function isUsual(group) {
     const { spec } = read();
-    return asked.every((group) => groups[group].every((one) => valueAt(spec, one.key) === undefined));
+    return groups[group].every((one) => valueAt(spec, one.key) === undefined);
   }
 
   const fields = (made) =>
@@ -130,21 +132,20 @@ export function specForm({ profiles, onChange, planned }) {
       { class: "fields" },
       made.map((one) => one.element),
     );
-  const settings = [
-    [t("Lens"), fields(groups.lens)],
-    [t("Light"), fields(groups.light)],
-    [t("Milling"), fields(groups.mill)],
-    [t("Passes"), milling.element],
-    ...more.map(([title, made]) => [title, fields(made)]),
-    [t("Everything else"), rest.element],
-  ];
+  const group = (title, made, ...others) => ({ title, keys: [...made.map(({ key }) => key), ...others.map(({ key }) => key)], content: [made.length > 0 && fields(made), others.map(({ element }) => element)] });
+  const settings = allSettings([
+    group(t("Light"), groups.light),
+    group(t("Milling"), groups.mill, milling),
+    ...more.map(([title, made]) => group(title, made)),
+    group(t("Everything else"), [], last, rest),
+  ]);
   reveal();
   const isOwn = ({ key }) => OWN.includes(key);
   return {
     own: fields(groups.main.filter(isOwn)),
     main: fields(groups.main.filter((one) => !isOwn(one))),
     picture: fields(groups.picture),
-    settings,
+    settings: settings.element,
     isUsual,
     read,
     show,
@@ -182,17 +183,34 @@ function safely(read) {
   }
 }
 
-/** An element; settings: [[title, element]]. */
-export function allSettings(settings) {
-  const parts = settings.map(([title, element]) => h("section", {}, h("h3", {}, title), element));
+/**
+ * {element, update(spec)}: groups, {title, keys of the spec, content}, of which one is unfolded; while a person searches, all that have what is wanted.
+ * update: each says how many of its keys differ from the usual.
+ */
+function allSettings(groups) {
+  const parts = groups.map(({ title, content }) => {
+    const count = h("small");
+    return { count, node: h("details", { name: ONE_OPEN }, h("summary", {}, h("h3", {}, title), count), h("div", { class: "stack" }, content)) };
+  });
   const find = () => {
     const wanted = search.value.trim().toLowerCase(), lacks = (one) => !`${one.dataset.key ?? ""} ${one.textContent}`.toLowerCase().includes(wanted);
-    for (const part of parts) {
-      const rows = [...part.querySelectorAll(".fields > .field")];
-      for (const one of rows) one.classList.toggle("unfound", lacks(one));
-      part.classList.toggle("unfound", rows.length ? rows.every(lacks) : lacks(part));
+    for (const { node } of parts) {
+      const all = !lacks(node.firstChild);
+      for (const one of node.querySelectorAll(".field")) one.classList.toggle("unfound", !all && lacks(one));
+      const found = Boolean(node.querySelector(".field:not(.unfound)"));
+      node.name = wanted ? "" : ONE_OPEN;
+      node.open = Boolean(wanted) && found;
+      node.classList.toggle("unfound", !found);
     }
   };
   const search = h("input", { type: "search", placeholder: t("Search"), "aria-label": t("Search all settings"), oninput: find });
-  return h("div", { class: "stack expert" }, search, parts);
+  return {
+    element: h("div", { class: "expert" }, search, parts.map(({ node }) => node)),
+    update(spec) {
+      groups.forEach(({ keys }, k) => {
+        const changed = keys.filter((key) => !same(valueAt(spec, key), valueAt(START, key))).length;
+        write(parts[k].count, changed ? t`${changed} changed` : "");
+      });
+    },
+  };
 }

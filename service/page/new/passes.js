@@ -10,7 +10,7 @@ export const FIRST = [
   { name: "finish", radius_mm: 3, pitch_mm: 0.1 },
 ];
 
-/** {element, rows(), read(faults), show(passes)}. known(): the passes that would be milled otherwise, where known. */
+/** {key, element, rows(), read(faults), show(passes)}. known(): the passes that would be milled otherwise, where known. */
 export function passes({ onChange, known }) {
   let cards = [];
   const list = h("ol", { class: "passes" });
@@ -21,7 +21,7 @@ export function passes({ onChange, known }) {
     { class: "stack" },
     h(
       "label",
-      { class: "tick" },
+      { class: "tick field" },
       byHand,
       h("span", {}, t("Set every pass by hand"), h("small", {}, t(" (otherwise they follow from “How fine”)"))),
     ),
@@ -97,7 +97,7 @@ export function passes({ onChange, known }) {
   }
 
   show(null);
-  return { element, rows: () => cards.flatMap((one) => [one.whole, ...one.rows]), read, show };
+  return { key: "passes", element, rows: () => cards.flatMap((one) => [one.whole, ...one.rows]), read, show };
 }
 
 /** Show a fault of a whole pass at its head, like that of a row. */

@@ -8,7 +8,7 @@ import { sentence } from "../lib/words.js";
 import { keepPrediction } from "../job/eye_words.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
-import { allSettings, focusRow, specForm } from "./form.js";
+import { focusRow, specForm } from "./form.js";
 import { keepOwn, MACHINE_USUAL, ownThings, startSpec } from "./own.js";
 import { FIRST } from "./passes.js";
 import { pictureSide } from "./picture_side.js";
@@ -83,10 +83,10 @@ function newJob(profiles, app, withMills) {
   const now = { estimate: null, first: false, sent: false, problems: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
   const address = location.hash;
   let coupon = null, improve = null, suggested = null; // loaded when they are needed
-  const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
+  const priority = priorityRow();
+  const form = specForm({ profiles, last: priority, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const plans = planChoice({ onPick: showChosen });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, plans: plans.element, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
-  const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: (how) => estimateForm({}, how), onState: showEstimate });
   const changes = h("div");
@@ -94,7 +94,7 @@ function newJob(profiles, app, withMills) {
   const sending = sender({ onWait: foot.wait });
 
   const fold = (title, rows) => h("details", { class: "card fold", "aria-label": title }, h("summary", {}, title), rows);
-  const pictureFold = fold(t("Picture"), side.tools), all = fold(t("All settings"), allSettings([...form.settings, [t("Queue"), priority.element]]));
+  const pictureFold = fold(t("Picture"), side.tools), all = fold(t("All settings"), form.settings);
   const shop = [
     lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: () => (asks.forget(), changed()) })),
     lateCard(t("Your mills"), async () => (await import("./own_mills.js")).ownMills({ profiles, onChanged: withMills })),
@@ -147,7 +147,7 @@ function newJob(profiles, app, withMills) {
   function showSpec(spec) {
     form.show(spec);
     pictureFold.open ||= !form.isUsual("picture");
-    all.open ||= !form.isUsual("lens", "light", "mill");
+    all.open ||= ["light", "mill"].some((group) => !form.isUsual(group));
   }
 
   async function estimateForm(change, { exactly = false } = {}) {
