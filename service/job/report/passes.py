@@ -41,6 +41,7 @@ def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list
         *_of_begin(machine),
         *_of_every_program(machine),
         *_of_cut_out(table(stock.get("cut_out")), stock, table(around.get("cut-out"))),
+        *_of_one_program(table(report.get("one_program"))),
     ]
 
 
@@ -49,6 +50,12 @@ def explain_zero_before_facing(spec: Mapping[str, Any]) -> Phrase | None:
     above_mm = table(table(spec.get("stock")).get("face")).get("above_mm")
     if above_mm is None:
         return None
+    if table(spec.get("machine")).get("tool_change"):
+        return Phrase(
+            "Before the facing, touch the raw top with a tool whose length the control knows, and set Z to {above_mm} "
+            "there, not to 0: Z0 lies that far below.",
+            above_mm=number(above_mm, 3),
+        )
     return Phrase(
         "Before the facing, touch the raw top and set Z to {above_mm} there, not to 0: Z0 lies that far below. After "
         "it, set Z0 on the faced top with each new tool.",
@@ -65,6 +72,21 @@ def _describe_facing(face: Mapping[str, Any]) -> Iterator[Phrase]:
             "lie on the top.",
             tool=_END_MILLS.get(shape, Phrase("a {shape} end mill", shape=shape)),
             above_mm=number(face.get("above_mm"), 3),
+        )
+
+
+def _of_one_program(whole: Mapping[str, Any]) -> Iterator[Phrase]:
+    if whole:
+        changes = [
+            Phrase("T{tool} in line {line} for {file}", tool=one["tool"], line=one["line"], file=one["file"])
+            for one in whole["changes"]
+        ]
+        yield Phrase(
+            "{file} runs all programs one after the other and changes the tools itself: {changes}. Before each change "
+            "the spindle stops and the head goes to its top. Put all of these tools into the changer first, and their "
+            "lengths into the control's table.",
+            file=whole["file"],
+            changes=join(", ", changes),
         )
 
 

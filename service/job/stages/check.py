@@ -33,6 +33,7 @@ from service.job.report.figures.path_sample import ContourSample, PathSample
 from service.job.spec.finish_library import instruct_finishing
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal
 from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
+from service.job.stages.one_program import write_one_program
 from service.job.stages.order import merge_notes, merge_reports
 from service.milling.preflight_child import examine
 
@@ -45,11 +46,17 @@ def run_final_check(context: StageContext) -> None:
     limits = limits_of(context.machine)
     for sentence in warn_of_removal(context.spec, context.machine):
         context.note("passes", sentence)
+    asked = frozenset({"stops"} if context.machine.optional_stop else ())
     with context.watch.stage("pre-flight") as on_progress:
         files = [file for row in programs_in_order(context.so_far) for file in files_of_pass(row)]
         for number, (name, sha256) in enumerate(files):
-            for warning in _warnings(context.folder / name, sha256, limits, _part(on_progress, number, len(files))):
+            on_share = _part(on_progress, number, len(files))
+            for warning in _warnings(context.folder / name, sha256, limits, on_share, asked=asked):
                 context.note("passes", Phrase("{file}: {warning}", file=name, warning=warning))
+        if context.machine.one_program:
+            whole = write_one_program(context.folder, context.so_far, context.machine)
+            _warnings(context.folder / whole["file"], whole["sha256"], limits, lambda share: None)  # those of its parts
+            context.report["one_program"] = whole
     _draw_envelope(context)
     _draw(context, [[context.folder / name for name in names_of_pass(row)] for row in rows])
 
@@ -66,7 +73,15 @@ def _draw_envelope(context: StageContext) -> None:
     context.save(ENVELOPE, picture)
 
 
-def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:
+def _warnings(
+    path: Path,
+    sha256: str,
+    limits: MillLimits,
+    on_share: Callable[[float], None],
+    *,
+    asked: frozenset[str] = frozenset(),
+) -> list[Phrase]:
+    """Return what a person should know of a program, without the rules that it breaks because the job asked for it."""
     try:
         found = examine(path, limits, on_share)
     except ProgramRefusedError as error:
@@ -77,7 +92,7 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
         )
     if found.faults:
         raise FailedError(*(Phrase("{name}: {fault}", name=path.name, fault=fault) for fault in found.faults))
-    return found.warnings
+    return [one.words for one in found.findings if one.code not in asked]
 
 
 def _draw(context: StageContext, programs: list[list[Path]]) -> None:
