@@ -10,7 +10,7 @@ from typing import Any
 
 from cam.materials import MATERIALS
 from cam.posts.dialects import POSTS
-from cam.posts.post import HIGH_PRECISION_WORDS, Post
+from cam.posts.post import HIGH_PRECISION_WORDS, MM_PER_INCH, Post
 from cam.rows.entries import RAMP_DEG
 from phrases.phrase import Phrase, join
 from service.job.files import POLISH, WITNESS, table
@@ -22,6 +22,8 @@ _END_MILLS = {
     "ball": Phrase("a ball end mill"),
     "bull-nose": Phrase("a bull-nose end mill"),
 }
+
+_RESTARTS = {"layer": Phrase("a layer"), "entry": Phrase("an entry"), "row": Phrase("a row")}
 
 Row = Mapping[str, Any]
 Cells = tuple[Phrase, str, list[str]]
@@ -88,6 +90,28 @@ def _of_one_program(whole: Mapping[str, Any]) -> Iterator[Phrase]:
             file=whole["file"],
             changes=join(", ", changes),
         )
+
+
+def describe_restarts(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Return (file, rows: line, its text, what begins there, X Y, Z, words in force, time) of programs with places at
+    which they may be entered again, in the unit of the programs.
+
+    spec : with the whole figures of the mill under `machine`
+    """
+    is_inch = table(spec.get("machine")).get("units") == "inch"
+    unit_mm = MM_PER_INCH if is_inch else 1.0
+    found = []
+    for file, restarts in table(report.get("restarts")).items():
+        rows = []
+        for row in restarts:
+            x, y, z = (number(value / unit_mm, 3 + is_inch) for value in row["at_mm"])
+            feed, rpm = number(row["feed_mm_per_min"] / unit_mm, 1 + is_inch), number(row["spindle_rpm"])
+            words = f"G{0 if row['is_rapid'] else 1} F{feed} S{rpm}"
+            begins, at_s = _RESTARTS[row["kind"]], duration(row["time_s"])
+            rows.append((whole(row["line"]), row["text"], begins, f"X {x} Y {y}", z, words, at_s))
+        if rows:
+            found.append((file, rows))
+    return found
 
 
 def _of_begin(machine: Mapping[str, Any]) -> Iterator[Phrase]:
