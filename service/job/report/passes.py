@@ -92,7 +92,7 @@ def _of_one_program(whole: Mapping[str, Any]) -> Iterator[Phrase]:
         )
 
 
-def describe_restarts(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, ...]]]]:
+def describe_restarts(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[tuple[str, list[tuple[Any, ...]]]]:
     """Return (file, rows: line, its text, what begins there, X Y, Z, words in force, time) of programs with places at
     which they may be entered again, in the unit of the programs.
 

@@ -15,8 +15,9 @@ from machines.preflight.preflight import limits_of
 from service.errors import FailedError, SpecError
 from service.job.checking import CheckSettings, check_programs
 from service.job.files import is_known, is_program
-from service.job.spec.resolve import look_up
+from service.job.spec.resolve import cam_passes_of, look_up
 from service.job.stages.context import versions
+from service.job.stages.restarts import list_restarts
 from service.milling.preflight_child import examine
 from service.progress import QuietReporter
 from service.server.api.job_views import media_type
@@ -80,6 +81,24 @@ def test_check_reads_it_again_and_finds_another_move(job: StagedJob, tmp_path: P
     whole.write_bytes(text[:at] + b"1" + text[at:])
     with pytest.raises(FailedError, match=r"all-passes\.ngc: does not move as the programs that were checked"):
         check_programs([whole], lens, nothing, reporter=reporter)
+
+
+def test_the_places_to_go_on_from_are_lines_of_the_programs(
+    job: StagedJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The job is done in a minute, so that no place of its own is worth a row; without that limit there are some."""
+    assert list(job.report["restarts"]) == ["pass-1-rough.ngc", "pass-2-finish.ngc"]
+    monkeypatch.setattr("cam.checking.restarts.LEAST_GAP_S", 0.5)
+    machine = look_up(job.spec).machine
+    for name, spec in zip(job.report["restarts"], cam_passes_of(job.spec), strict=True):
+        file = tmp_path / name
+        file.write_bytes(job.bytes(name))
+        found = examine(file, limits_of(machine), lambda share: None)
+        rows, lines = list_restarts(file, found, spec, machine), job.bytes(name).decode().splitlines()
+        assert 2 <= len(rows) <= 12
+        assert all(lines[row["line"] - 1] == row["text"] for row in rows)
+        times = [row["time_s"] for row in rows]
+        assert times == sorted(times) and times[0] >= 0.0 and times[-1] <= found.time_s
 
 
 def test_a_mill_may_run_it(job: StagedJob, tmp_path: Path) -> None:
