@@ -93,13 +93,15 @@ def _of_one_program(whole: Mapping[str, Any]) -> Iterator[Phrase]:
 
 
 def describe_restarts(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[tuple[str, list[tuple[Any, ...]]]]:
-    """Return (file, rows: line, its text, what begins there, X Y, Z, words in force, time) of programs with places at
-    which they may be entered again, in the unit of the programs.
+    """Return (file in words, rows: line, its text, what begins there, X Y, Z, words in force, time) of programs with
+    places at which they may be entered again, in the unit of the programs.
 
     spec : with the whole figures of the mill under `machine`
     """
     is_inch = table(spec.get("machine")).get("units") == "inch"
     unit_mm = MM_PER_INCH if is_inch else 1.0
+    whole_file = table(report.get("one_program"))
+    before = {one["file"]: one["lines_before"] for one in whole_file.get("changes") or ()}
     found = []
     for file, restarts in table(report.get("restarts")).items():
         rows = []
@@ -109,6 +111,9 @@ def describe_restarts(spec: Mapping[str, Any], report: Mapping[str, Any]) -> lis
             words = f"G{0 if row['is_rapid'] else 1} F{feed} S{rpm}"
             begins, at_s = _RESTARTS[row["kind"]], duration(row["time_s"])
             rows.append((whole(row["line"]), row["text"], begins, f"X {x} Y {y}", z, words, at_s))
+        if rows and file in before:
+            whole_name, count = str(whole_file.get("file")), whole(before[file])
+            file = Phrase("{file} ({whole}: {count} lines later)", file=file, whole=whole_name, count=count)
         if rows:
             found.append((file, rows))
     return found

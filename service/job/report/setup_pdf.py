@@ -231,11 +231,10 @@ def _sections(setup: Mapping[str, Any], most: int, *, is_full: bool) -> list[tup
 
 def _restart_sentences(setup: Mapping[str, Any]) -> list[str]:
     """Return how to go on after a break, and for each program its lines with the tool's place and what is in force."""
-    listed = [
-        f"<strong>{escape(file)}</strong>: "
-        + "; ".join(f"line {row[0]}, {row[3]} Z {row[4]}, {row[5]}, after {row[6]}" for row in rows)
-        for file, rows in setup["restarts"]
-    ]
+    listed = []
+    for file, rows in setup["restarts"]:
+        listed.append(f"<strong>{escape(file)}</strong>")
+        listed += [f"line {row[0]}: {row[3]} Z {row[4]}, {row[5]}, {row[6]}" for row in rows]
     return [render_block("restart", setup), *listed] if listed else []
 
 

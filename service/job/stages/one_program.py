@@ -20,8 +20,8 @@ from service.job.spec.resolve import post_of
 
 
 def write_one_program(folder: Path, report: Mapping[str, Any], machine: MachineProfile) -> dict[str, Any]:
-    """Write all programs of a job as one; return its part of the report: the file, its time, and where it changes
-    tools. FailedError if it does not move as they do.
+    """Write all programs of a job as one; return its part of the report: the file, its time, where it changes tools and
+    how many lines later each program's lines stand in it. FailedError if it does not move as they do.
     """
     post, rows = post_of(machine), programs_in_order(report)
     assert isinstance(post, Post)  # RML-1 has no word for a tool change
@@ -30,15 +30,20 @@ def write_one_program(folder: Path, report: Mapping[str, Any], machine: MachineP
     written = write_program(folder / f"{ONE_PROGRAM}{post.suffix}", join_programs(map(read_chunks, paths), post))
     path = folder / written.file
     require_same_moves(path, paths, machine)
-    with path.open("rb") as lines:
-        changes = find_tool_changes(lines)
+    changes, own = _find_changes(path), [_find_changes(one)[0][0] for one in paths]
     return {
         **asdict(written),
         "time_s": sum(row["time_s"] for row in rows),
         "changes": [
-            {"line": line, "tool": tool, "file": file} for (line, tool), file in zip(changes, files, strict=True)
+            {"line": line, "tool": tool, "file": file, "lines_before": line - own_line}
+            for (line, tool), file, own_line in zip(changes, files, own, strict=True)
         ],
     }
+
+
+def _find_changes(path: Path) -> list[tuple[int, int]]:
+    with path.open("rb") as lines:
+        return find_tool_changes(lines)
 
 
 def require_same_moves(path: Path, programs: Sequence[Path], machine: MachineProfile) -> None:

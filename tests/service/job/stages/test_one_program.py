@@ -43,6 +43,9 @@ def test_it_is_a_file_of_the_job_that_names_each_change(job: StagedJob) -> None:
     assert is_known(WHOLE) and not is_program(WHOLE) and media_type(WHOLE) == media_type("pass-1-rough.ngc")
     files = ["pass-0-face.ngc", "pass-1-rough.ngc", "pass-2-finish.ngc"]
     assert [one["file"] for one in whole["changes"]] == files
+    for one in whole["changes"]:
+        own = job.bytes(one["file"]).splitlines()
+        assert lines[one["lines_before"] + 11 : one["lines_before"] + len(own) - 2] == own[11:-2]
     assert [lines[one["line"] - 1] for one in whole["changes"]] == [b"T1M6", b"T2M6", b"T3M6"]
     assert whole["lines"] == sum(job.bytes(name).count(b"\n") - 1 for name in files) + 1  # one end
     assert whole["time_s"] == pytest.approx(sum(
