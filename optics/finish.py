@@ -46,15 +46,12 @@ class Finish:
     pad_mm        : size of the tool; marks much longer than it are form, which it follows
     depth_mm      : average depth that a pad or paper takes off, which decides where it touches; None: a film, or not
                     known: the linear law everywhere
-    off_doses, off_orders : how it may turn out: the work over the planned one, and the order over the planned one
     """
 
     k0_rad_per_mm: float
     order: float
     pad_mm: float = PAD_MM
     depth_mm: float | None = None
-    off_doses: tuple[float, ...] | None = None
-    off_orders: tuple[float, ...] = (0.75, 1.25)
 
     def __post_init__(self) -> None:
         for name in ("k0_rad_per_mm", "order", "pad_mm", "depth_mm"):

@@ -30,7 +30,7 @@ from optics.spline import Mask
 from optics.tubes.picture import TubePicture
 
 DESIGN_BEAMS = 7  # of an extended light, while a lens is designed for it
-_OFF_K0 = (0.8, 1.25)  # times the plan: the spread of finishing by hand, if the finish does not state its own
+_OFF_K0, _OFF_ORDER = (0.8, 1.25), (0.75, 1.25)  # times the plan: the spread of finishing by hand
 _OFF_WEIGHT = 0.15  # of each of them
 _LEAST_OFF = 0.1  # of the mean removal, that a pad has to take off everywhere
 _UNPRESSED = 30.0  # cost of a lack of it, squared, in the unit of E and per vertex; 10 and 100 show the same
@@ -48,9 +48,8 @@ def outcomes_of(finish: Finish | None) -> list[Outcome]:
     """Return the possible outcomes of a finish, the planned one first."""
     if finish is None:
         return [Outcome(weight=1.0, finish=None)]
-    doses = tuple(share**-finish.order for share in _OFF_K0) if finish.off_doses is None else finish.off_doses
-    others = [finish.after(dose) for dose in doses]
-    others += [replace(finish, order=share * finish.order) for share in finish.off_orders]
+    others = [finish.after(share**-finish.order) for share in _OFF_K0]
+    others += [replace(finish, order=share * finish.order) for share in _OFF_ORDER]
     planned = Outcome(weight=1.0 - _OFF_WEIGHT * len(others), finish=finish)
     return [planned, *(Outcome(weight=_OFF_WEIGHT, finish=one) for one in others)]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.passes import PassSpec, Stock
-from cam.polish.cut import PolishCut
 from cam.posts.post import number as n
 
 _CORNER = "X0 Y0: lower left corner of the lens aperture"
@@ -36,7 +35,7 @@ def name_cutter(spec: PassSpec) -> str:
     return f"{spec.shape.name} end mill" + ("" if spec.is_ball or not corner_mm else f" corner {n(corner_mm)} mm")
 
 
-def describe_around(task: Facing | WitnessCut | PolishCut | CutOut, stock: Stock) -> tuple[str, ...]:
+def describe_around(task: Facing | WitnessCut | CutOut, stock: Stock) -> tuple[str, ...]:
     """Return the remarks of a program that mills around the lens."""
     if isinstance(task, Facing):
         return (
@@ -48,12 +47,6 @@ def describe_around(task: Facing | WitnessCut | PolishCut | CutOut, stock: Stock
         return (
             f"witness marks: ball end mill radius {task.radius_mm:g} mm, the ball of the pass before",
             f"strip X{left:.2f} to X{right:.2f}, Y{front:.2f} to Y{back:.2f}, down to Z{task.lowest_mm:g}",
-            f"{_CORNER}, Z0: top of the block, mm",
-        )
-    if isinstance(task, PolishCut):
-        return (
-            f"polish: bob radius {task.radius_mm:g} mm, pressed {task.compression_mm:g} mm into the lens",
-            "Z0: the tip just touches; compound on bob and lens before the start",
             f"{_CORNER}, Z0: top of the block, mm",
         )
     return (

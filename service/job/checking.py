@@ -28,7 +28,6 @@ from service.job.spec.resolve import (
     cam_stock_of,
     cut_out_of,
     facing_task_of,
-    polish_cut_of,
 )
 from service.job.stages import around
 from service.job.stages.one_program import require_same_moves
@@ -110,7 +109,7 @@ def check_programs(
                     result = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
                 else:
                     assert job is not None  # only a job has such tasks
-                    result = around.simulate(paths, spec, job, stock_top, heightfield)
+                    result = around.simulate(paths, spec, job, stock_top)
             except CamError as error:  # text that must not be sent to a mill
                 verdicts.append(_make_unreadable_verdict(path, broken or [str(error)]))
                 break
@@ -162,7 +161,7 @@ def _read_job_tasks(
     given = {path.name: path for path in programs}
     paths = [[given.get(name, folder / name) for name in names] for names in files[: last + 1]]
     marks = plan_witness(job).cut if job_files.WITNESS in report.get("around", {}) else None
-    all_specs = (facing_task_of(spec), *cam_passes_of(spec), marks, polish_cut_of(job), cut_out_of(spec))
+    all_specs = (facing_task_of(spec), *cam_passes_of(spec), marks, cut_out_of(spec))
     specs = [one for one in all_specs if one is not None]
     tasks: list[Task] = list(zip(paths, specs, strict=False))
     return tasks, cam_stock_of(spec), job.machine

@@ -39,8 +39,8 @@ LIGHT_FILES = tuple(list_pictures("light"))
 AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
 FINISH_TOLERANCE = "finish-tolerance.png"
 # Programs around the passes, by the name in their file:
-FACE, WITNESS, POLISH, CUT_OUT = "face", "witness", "polish", "cut-out"
-AFTER_PASSES = (WITNESS, POLISH, CUT_OUT)
+FACE, WITNESS, CUT_OUT = "face", "witness", "cut-out"
+AFTER_PASSES = (WITNESS, CUT_OUT)
 TOOLPATH, PLAN, ENVELOPE = "toolpath.png", "plan.png", "envelope.png"
 SURFACE = "surface.bin"
 THUMBNAIL = "thumbnail.png"  # of the target, as long as there is none of what the wall will show
@@ -88,11 +88,10 @@ def stock_name(number: int) -> str:
 
 
 FACED_STOCK, LAST_STOCK = stock_name(0), ".stock-last.npz"
-UNEVENNESS = ".unevenness.npz"  # of what a bob takes off, after the finish
 
 
 def programs_in_order(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of all programs in running order: face, passes, witness marks, polish, cut-out."""
+    """Return the rows of all programs in running order: face, passes, witness marks, cut-out."""
     around = report.get("around", {})
     first, last = ([around[name] for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
     return [*first, *report.get("passes", ()), *last]

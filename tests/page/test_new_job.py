@@ -42,7 +42,6 @@ REST = {
     "stock.face",
     "stock.cut_out",
     "stock.clamps",
-    "finish.bob",
 }  # reached by the text of other values
 PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
 

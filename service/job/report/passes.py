@@ -13,7 +13,7 @@ from cam.posts.dialects import POSTS
 from cam.posts.post import HIGH_PRECISION_WORDS, MM_PER_INCH, Post
 from cam.rows.entries import RAMP_DEG
 from phrases.phrase import Phrase, join
-from service.job.files import POLISH, WITNESS, table
+from service.job.files import WITNESS, table
 from service.wording import MISSING, duration, number, whole
 
 _COOLANTS = {"air": Phrase("air blast"), "mist": Phrase("mist"), "flood": Phrase("coolant")}
@@ -292,8 +292,6 @@ def flutes_in_words(row: Row) -> str:
 def order_in_words(row: Row) -> str:
     """Return how the tool goes over the lens in a pass."""
     if row.get("is_around"):
-        if row.get("name") == POLISH:
-            return Phrase("small loops over the whole lens, in rows")
         if row.get("name") == WITNESS:
             return Phrase("rows beside the lens, each at its own height")
         whole_top = "above_mm" in row

@@ -1,12 +1,10 @@
-"""The table `[finish]` of the job spec: how the lens is finished after milling, and its transfer function. By hand, or
-by the mill with a bob that the shop owns.
+"""The table `[finish]` of the job spec: how the lens is finished by hand after milling, and its transfer function.
 
 A process of the library fills in missing values; a person's own figures, measured with the coupon, take precedence.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -14,7 +12,6 @@ from pydantic import Field
 
 from phrases.phrase import Phrase
 from service.errors import SpecError
-from service.job.spec.bob import BOB, BobSpec, fill_bob, fit_process
 from service.job.spec.finish_library import (
     DEPTH_RANGE_UM,
     LEAST_K0_RAD_PER_MM,
@@ -44,7 +41,6 @@ class FinishSpec(Section):
     minutes              : of work on the whole lens; the planner of "recommended" chooses them if they are left out
     pad_mm               : size of the tool, which follows longer waves; more than 500 mm: no tool
     witness              : marks beside the lens that show when to stop, if a hand does the work and the margin has room
-    bob                  : of the shop, for process "bob", and for "best" to choose
     """
 
     process: Annotated[
@@ -95,18 +91,9 @@ class FinishSpec(Section):
         ),
     ] = True
 
-    bob: BobSpec | None = None
-
-    @property
-    def is_milled(self) -> bool:
-        """Whether the mill does the work, as far as known so far."""
-        return self.process == BOB
-
     @property
     def witnessed(self) -> bool:
         """Whether marks are wanted and a pad may do the work by hand, as far as known so far."""
-        if self.is_milled:
-            return False
         by_contact = self.process != NONE if self.depth_um is None else self.contact_depth_mm is not None
         return self.witness and self.finishes and by_contact
 
@@ -122,21 +109,12 @@ class FinishSpec(Section):
         return self.depth_um / 1000 if self.depth_um is not None and self.depth_um > 0 and has_tool else None
 
 
-def find_processes(
-    finish: FinishSpec, *, spindle_rpm: tuple[float, float] = (1.0, math.inf), machine: str = ""
-) -> dict[str, Process]:
-    """Find the library's processes that a spec may use; none if their name no longer exists, or for a bob that the shop
-    does not have.
-
-    spindle_rpm : range of the mill; machine: its name
-    """
+def find_processes(finish: FinishSpec) -> dict[str, Process]:
+    """Find the library's processes that a spec may use; none if their name no longer exists."""
     name = finish.process
     if name == NONE:
         return {}
     processes = load_processes()
-    process = processes.pop(BOB, None)
-    if process is not None and finish.bob is not None:
-        processes[BOB] = fit_process(process, fill_bob(finish.bob, spindle_rpm, machine))
     if name == BEST:
         return processes
     return {name: processes[name]} if name in processes else {}
@@ -160,9 +138,6 @@ def resolve_finish(
     if finish.process == NONE:
         _require_own_figures(finish)
         return finish
-    if finish.is_milled and finish.bob is None:
-        words = Phrase("is missing; allowed: a table with radius_mm and the other figures of the bob that the shop has")
-        raise SpecError([("finish.bob", words)])
     if finish.process not in processes:
         raise SpecError([("finish.process", unknown_name(finish.process, (*load_processes(), BEST)))])
     process = processes[finish.process]

@@ -13,7 +13,6 @@ from cam.materials import MATERIALS
 from optics.bench import Bench, Branch
 from optics.black import choose_branch
 from optics.block import Back
-from optics.bob import PRESSURES
 from optics.finish import PAD_MM, Finish
 from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
@@ -129,7 +128,6 @@ def build_finish(given: FinishSpec) -> Finish | None:
         order=given.order,
         pad_mm=PAD_MM if given.pad_mm is None else given.pad_mm,
         depth_mm=given.contact_depth_mm,
-        **({"off_doses": PRESSURES, "off_orders": ()} if given.is_milled else {}),
     )
 
 

@@ -228,7 +228,7 @@ class JobSpec(Section):
     @property
     def goes_on_after_passes(self) -> bool:
         """Whether a program after the passes mills the stock that they leave."""
-        return self.finish.witnessed or self.finish.is_milled or self.stock.cut_out is not None
+        return self.finish.witnessed or self.stock.cut_out is not None
 
     @property
     def pixel_rows(self) -> int:

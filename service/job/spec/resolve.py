@@ -21,15 +21,12 @@ from cam.checking.envelope import Reach
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, PassSpec, Stock
-from cam.polish.cut import PolishCut
 from cam.posts.dialects import POSTS, Dialect, find_unsupported
 from cam.posts.post import MM_PER_INCH, Coolant, Digits, HighPrecision, ProgramSetup
 from cam.tools import Tool
 from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile, replace_figures
-from optics.bob import HEAT_LIMIT_MM_PER_S
 from phrases.phrase import Phrase
 from service.errors import FailedError, SpecError
-from service.job.spec.bob import build_bob, fill_bob
 from service.job.spec.cutting import CutOutSpec, FaceSpec, MachineSpec, StockSpec
 from service.job.spec.envelope import (
     find_beyond_travel,
@@ -51,7 +48,6 @@ _PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")
 _ROUNDING = 0.01  # of step-downs and feeds
-_BOB_PLUNGE_MM_PER_MIN = 100.0
 _CHOSEN = {"pitch_mm", "flutes", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 
 
@@ -122,7 +118,7 @@ class ResolvedJob:
         if spec.machine.top_z_mm is not None and not machine.homing:
             words = Phrase("{value:g} is unknown to a mill without homing; allowed: left out", value=machine.top_z_mm)
             problems.append(("machine.top_z_mm", words))
-        if machine.one_program and not problems and (allowed := _find_obstacle_to_one_program(spec, machine)):
+        if machine.one_program and not problems and (allowed := _find_obstacle_to_one_program(machine)):
             problems.append(("machine.one_program", Phrase("true is not allowed; allowed: {allowed}", allowed=allowed)))
         if problems:
             raise SpecError(problems)
@@ -133,7 +129,7 @@ class ResolvedJob:
         return replace(self, spec=spec)
 
 
-def _find_obstacle_to_one_program(spec: JobSpec, machine: MachineProfile) -> Phrase | None:
+def _find_obstacle_to_one_program(machine: MachineProfile) -> Phrase | None:
     """Return what has to be otherwise before the job's programs may follow one another without a person."""
     limits = ("most_program_mb", "most_program_hours")
     if not machine.tool_change:
@@ -142,8 +138,6 @@ def _find_obstacle_to_one_program(spec: JobSpec, machine: MachineProfile) -> Phr
         return Phrase("with machine.top_z_mm, to which the head goes before a longer tool comes into it")
     if limit := next((key for key in limits if getattr(machine, key) is not None), None):
         return Phrase("without machine.{key}, which splits programs", key=limit)
-    if spec.finish.is_milled:
-        return Phrase("without a finish by the mill: a person puts the compound on before it")
     return None
 
 
@@ -168,8 +162,7 @@ def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
         words = Phrase("'{name}' cannot be used: {cause}", name=spec.machine.profile, cause=str(error))
         raise SpecError([("machine.profile", words)]) from None
     tools = load_tools() if spec.to_be_planned else ()
-    spindle = profile.spindle_rpm if spec.machine.spindle_rpm is None else spec.machine.spindle_rpm
-    processes = find_processes(spec.finish, spindle_rpm=(spindle[0], spindle[1]), machine=profile.name)
+    processes = find_processes(spec.finish)
     return ResolvedJob(spec=spec, figures=Figures(profile=profile, tools=tools, processes=processes))
 
 
@@ -252,9 +245,6 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
         raise SpecError(problems, {key: use for (key, _), use in beyond if use is not None})
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
     finish = resolve_finish(spec.finish, job.figures.processes, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
-    if finish.bob is not None:
-        bob = fill_bob(finish.bob, machine.spindle_rpm, machine.name)
-        finish = finish.model_copy(update={"bob": bob})
     spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine), "finish": finish})
     if "refractive_index" not in spec.optics.model_fields_set:
         spec = _with_optics(spec, refractive_index=index_of(MATERIALS[spec.stock.material], spec.optics.light))
@@ -320,7 +310,7 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
         optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
     if optics.min_radius_mm is None and not optics.creases:
         optics = optics.model_copy(update={"min_radius_mm": planned["min_radius_mm"]})
-    kept = spec.finish.model_dump(include={"witness", "bob"})
+    kept = spec.finish.model_dump(include={"witness"})
     finish = FinishSpec.model_validate({**kept, **planned.get("finish", {})})
     machine = spec.machine
     if machine.whole_steps is None and planned["whole_steps"]:
@@ -374,24 +364,6 @@ def cut_out_of(spec: JobSpec) -> CutOut | None:
         None
         if spec.stock.cut_out is None
         else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm", "flute_length_mm", "flutes"}))
-    )
-
-
-def polish_cut_of(job: ResolvedJob) -> PolishCut | None:
-    """Return the bob's work in the form of the CAM package; None if the mill does not polish."""
-    finish, machine = job.spec.finish, job.machine
-    if not finish.is_milled or finish.bob is None:
-        return None
-    bob = build_bob(finish.bob)
-    return PolishCut(
-        radius_mm=bob.radius_mm,
-        compression_mm=bob.compression_mm,
-        contact_mm=bob.contact_mm,
-        plunge_mm_per_min=min(_BOB_PLUNGE_MM_PER_MIN, machine.max_rate_mm_per_min[2]),
-        spindle_rpm=bob.spindle_rpm,
-        most_mm_per_s=HEAT_LIMIT_MM_PER_S,
-        acceleration_mm_per_s2=machine.acceleration_mm_per_s2,
-        max_rate_mm_per_min=machine.max_rate_mm_per_min,
     )
 
 

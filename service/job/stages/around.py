@@ -20,13 +20,10 @@ from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
-from cam.polish.check import check_polish
-from cam.polish.cut import PolishCut
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid
 from machines.profile import MachineProfile
-from optics.heightfield import Heightfield
 from optics.witness import VISIBLE_SLOPE_RAD, NoMarksError
 from optics.witness_light import WALL_MM
 from phrases.phrase import Phrase
@@ -55,7 +52,7 @@ from service.job.stages.programs import (
     write_parts,
 )
 
-AroundTask = Facing | WitnessCut | PolishCut | CutOut
+AroundTask = Facing | WitnessCut | CutOut
 
 _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
 
@@ -133,7 +130,7 @@ def run_cut_out(context: StageContext) -> None:
 
 def _programs_after(spec: JobSpec) -> int:
     """Return the number of programs between the passes and the cut-out."""
-    return int(spec.finish.witnessed) + int(spec.finish.is_milled)
+    return int(spec.finish.witnessed)
 
 
 def checked_mill_of(machine: MachineProfile) -> CheckedMill:
@@ -152,13 +149,9 @@ def simulate(
     task: AroundTask,
     job: ResolvedJob,
     stock_top: StockGrid,
-    lens: Heightfield | None = None,
 ) -> AroundCheck:
-    """Read the programs back, one after the other, and simulate what they remove from stock_top; lens: for a bob."""
+    """Read the programs back, one after the other, and simulate what they remove from stock_top."""
     stock, mill, texts = cam_stock_of(job.spec), checked_mill_of(job.machine), map(read_chunks, paths)
-    if isinstance(task, PolishCut):
-        assert lens is not None
-        return check_polish(texts, task, lens=lens, stock=stock, stock_top=stock_top, mill=mill).verdict
     if isinstance(task, Facing):
         return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
     if isinstance(task, WitnessCut):
@@ -205,8 +198,6 @@ def write_around(
 
 def _tool_number(spec: JobSpec, task: AroundTask) -> int:
     tools = number_tools(spec)
-    if isinstance(task, PolishCut):
-        return len(tools) + 1
     around = spec.stock.face if isinstance(task, Facing) else spec.stock.cut_out
     row = spec.passes[-1] if isinstance(task, WitnessCut) else around
     assert row is not None

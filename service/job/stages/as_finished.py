@@ -9,11 +9,9 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from cam.as_milled.height_map import DepartureMap, map_departure
 from cam.materials import MATERIALS
-from cam.surface.stock_grid import StockGrid
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
 from optics.finish import Finish, Finished, finish_lens
@@ -30,7 +28,6 @@ from service.job.files import (
     LIGHT_AS_FINISHED,
     MAP,
     THUMBNAIL_AS_FINISHED,
-    UNEVENNESS,
     plain,
 )
 from service.job.picture.light_png import picture_png, row_png, thumbnail_png
@@ -75,8 +72,7 @@ def run_as_finished(context: StageContext) -> None:
             beyond_mm=max(spec.radius_mm for _, spec in passes),
         )
         del tracks
-        uneven = context.receive_if_there(UNEVENNESS, arrays.load_stock)
-        finished = finish_departure(lens, finish, departure, uneven)
+        finished = finish_departure(lens, finish, departure)
     with context.watch.stage("as finished: light"):
         seen = light_through(finished.lens, bench, shape)
         if context.is_shown:
@@ -85,18 +81,17 @@ def run_as_finished(context: StageContext) -> None:
         for cause, other in bench.without_each_flaw().items():
             gains[cause] = psnr_db(light_through(finished.lens, other, shape).irradiance, target) - own_db
     _report_light(context, finished, target, seen, gains)
-    if not context.spec.finish.is_milled:
-        _report_rims(context, lens, finish)
+    _report_rims(context, lens, finish)
     if sentence := warn_of_lost_contact(finished.contact_share):
         context.note("passes", sentence)
     milled_mm = min(max(spec.radius_mm for _, spec in passes), context.spec.stock.margin_mm)
-    if not context.spec.finish.is_milled and (sentence := warn_of_rounded_rim(finish, milled_mm)):
+    if sentence := warn_of_rounded_rim(finish, milled_mm):
         context.note("passes", sentence)
     _draw(context, target, seen.irradiance)
     with context.watch.stage("as finished: tolerance"):
         report_tolerance(
             *(context, finish, target, seen.irradiance),
-            lambda other: light_through(finish_departure(lens, other, departure, uneven).lens, bench, shape).irradiance,
+            lambda other: light_through(finish_departure(lens, other, departure).lens, bench, shape).irradiance,
         )
 
 
@@ -132,24 +127,15 @@ def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
 
-def finish_departure(
-    lens: Heightfield, finish: Finish, departure: DepartureMap, uneven: StockGrid | None = None
-) -> Finished:
-    """Return the lens as milled and finished; uneven: what a bob takes off beyond the mean."""
-    finished = finish_lens(
+def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap) -> Finished:
+    """Return the lens as milled and finished."""
+    return finish_lens(
         lens,
         finish,
         departure_mm=departure.departure_mm,
         finer=departure.finer,
         beyond_cells=departure.beyond_cells,
     )
-    return finished if uneven is None else replace(finished, lens=_take_off(finished.lens, uneven))
-
-
-def _take_off(lens: Heightfield, uneven: StockGrid) -> Heightfield:
-    y, x = ((axis - at) / uneven.cell_mm for axis, at in ((lens.y_mm, uneven.y_mm[0]), (lens.x_mm, uneven.x_mm[0])))
-    off = map_coordinates(uneven.top_mm, np.meshgrid(y, x, indexing="ij"), order=3, mode="nearest")
-    return replace(lens, z_mm=lens.z_mm - off + min(0.0, float((off - lens.z_mm).min())))
 
 
 def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:

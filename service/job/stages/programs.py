@@ -18,7 +18,6 @@ from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm
-from cam.polish.check import PolishCheck
 from cam.posts.post import RML
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
@@ -54,7 +53,7 @@ from service.job.spec.resolve import (
 )
 from service.job.stages.context import StageContext
 
-Check = TypeVar("Check", PassCheck, AroundCheck, PolishCheck)
+Check = TypeVar("Check", PassCheck, AroundCheck)
 
 CHIPS_WITHIN = 0.97
 """Share of the cutting time whose chips must be within the material's band; less is worth a warning."""

@@ -62,7 +62,6 @@ POLISH_S = 20.0  # of 512 x 512 pixels
 REST_SHARE = 0.1  # share of the lens that a rest pass covers; a guess
 PLAN_S = 12.0
 AROUND_S = 2.0
-POLISHING_S = 60.0  # of 100 cm2
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
 _READ_AS_CODE = (
@@ -174,13 +173,6 @@ _WITNESS = Stage(
     ),
     parts=(("write", 0.2), ("check", 0.8)),
 )
-_POLISH = Stage(
-    name="pass-polish",
-    function="service.job.stages.polish:run_polish",
-    reads=("heightfield.npz", ".stock-last.npz"),
-    spec=("finish", "passes", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
-    parts=(("plan", 0.5), ("write", 0.2), ("check", 0.3)),
-)
 _CUT_OUT = Stage(
     name="pass-cut-out",
     function=f"{_AROUND}:run_cut_out",
@@ -227,7 +219,7 @@ _AFTER = (
     Stage(
         name="as-finished",
         function="service.job.stages.as_finished:run_as_finished",
-        reads=("heightfield.npz", "map.npz", ".unevenness.npz", *_ALL_PROGRAMS),
+        reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=(*_MILLED, *_PIT),
         parts=(("as finished: surface", 0.5), ("as finished: light", 0.15), ("as finished: tolerance", 0.35)),
     ),
@@ -245,7 +237,7 @@ _AFTER = (
         sheet=True,
     ),
 )
-_ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _WITNESS, _POLISH, _CUT_OUT, *_AFTER)}
+_ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _WITNESS, _CUT_OUT, *_AFTER)}
 
 
 def plan(spec: JobSpec) -> tuple[str, ...]:
@@ -256,10 +248,9 @@ def plan(spec: JobSpec) -> tuple[str, ...]:
     before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
     first = (_FACE.name,) if spec.stock.face is not None else ()
     witness = (_WITNESS.name,) if spec.finish.witnessed else ()
-    polish = (_POLISH.name,) if spec.finish.is_milled else ()
     last = (_CUT_OUT.name,) if spec.stock.cut_out is not None else ()
     after = (stage.name for stage in _AFTER if stage.name != "as-finished" or spec.finish.finishes)
-    return (*before, *first, *passes, *witness, *polish, *last, *after)
+    return (*before, *first, *passes, *witness, *last, *after)
 
 
 def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
@@ -326,7 +317,6 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
     }
     block = spec.optics.width_mm * spec.optics.height_mm / 100**2
     seconds[_FACE.name] = seconds[_WITNESS.name] = seconds[_CUT_OUT.name] = AROUND_S
-    seconds[_POLISH.name] = AROUND_S + POLISHING_S * block
     for number, row in enumerate(_rows(spec), 1):
         path_m = _path_m(spec, row) * (REST_SHARE if row.where == "rest" else 1.0)
         finishes = row.stock_to_leave_mm == 0
@@ -396,12 +386,10 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     warm_up = [warm_up_s, slowest_rpm] if warm_up_s else None
     facts["beginning"] = [warm_up, facts["optics"]["outline"] if facts["machine"]["trace_outline"] else None]
     facts["own_beginning"] = None if facts["faced"] else facts["beginning"]
-    facts["programs_before_cut_out"] = len(facts["passes"]) + spec.finish.witnessed + spec.finish.is_milled
+    facts["programs_before_cut_out"] = len(facts["passes"]) + spec.finish.witnessed
     tools = number_tools(spec) if job.machine.tool_change else {}
     around = (spec.stock.face, spec.stock.cut_out)
     facts["tools_around"] = [None if one is None else tools.get(tool_key(one)) for one in around]
-    if spec.finish.is_milled:
-        facts["tools_around"].append(len(tools) + 1 if tools else None)  # the bob's
     for row, given in zip(facts["passes"], spec.passes, strict=True):
         row["tool"] = tools.get(tool_key(given))
         row["last"] = row is facts["passes"][-1] and not spec.goes_on_after_passes

@@ -53,8 +53,8 @@ export function detailOfPlan(spec, row) {
 
 /** What the report says of all programs, in the order in which they are run: facing, passes, marks, polishing, cutting out. */
 export function programRows(report) {
-  const { face, witness, polish, "cut-out": cutOut } = report?.around ?? {};
-  return [face, ...(report?.passes ?? []), witness, polish, cutOut].filter(Boolean);
+  const { face, witness, "cut-out": cutOut } = report?.around ?? {};
+  return [face, ...(report?.passes ?? []), witness, cutOut].filter(Boolean);
 }
 
 /** Seconds on the mill of all programs; null before they are known. */
@@ -160,14 +160,14 @@ export function passesOf(job) {
   return job.spec.passes?.length ? job.spec.passes : (job.report?.plan?.passes ?? []);
 }
 
-const TOOLS = { flat: t("flat"), ball: t("ball"), bob: t("bob") };
+const TOOLS = { flat: t("flat"), ball: t("ball") };
 
 /** One pass of a spec in words: "ball R 3 (Ø 6 mm), rows along X every 0.14 mm at 1500 mm/min". */
 export function passWords(row) {
   if ("above_mm" in row) return t`${TOOLS[row.tool] ?? row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
   if ("tabs" in row) return cutOutWords(ball(row.radius_mm), row.tabs);
   const tool = toolWords(row);
-  if (!row.pitch_mm) return tool; // witness marks, a bob
+  if (!row.pitch_mm) return tool; // witness marks
   const rows = t`rows along ${String(row.direction ?? "x").toUpperCase()}`;
   const ways = row.strategy === "contour" ? t("one path along contour lines") : rows;
   const only = row.where === "rest" ? t(", only where stock is left") : "";
@@ -212,7 +212,6 @@ const STAGES = {
   caustic: t("Simulate its light"),
   "pass-face": t("Make and check the facing of the block"),
   "pass-witness": t("Make and check the witness marks"),
-  "pass-polish": t("Make and check the polishing"),
   "pass-cut-out": t("Make and check the cutting out"),
   check: t("Check the programs as the mill reads them"),
   "as-milled": t("Simulate the milled lens"),

@@ -26,7 +26,6 @@ from service.wording import ball, shape_of
 _SHAPES = {
     "ball": Phrase("ball end mill"),
     "flat": Phrase("flat end mill"),
-    "bob": Phrase("polishing bob"),
     "bull-nose": Phrase("bull-nose end mill"),
 }
 

@@ -35,7 +35,7 @@ def library(folder: Path, text: str) -> Path:
 
 def test_the_shipped_processes_have_the_orders_of_their_physics() -> None:
     orders = {name: process.order for name, process in SHIPPED.items()}
-    assert orders == {"none": 2, "sanding": 2, "felt": 1, "bob": 0.85, "lacquer": 4, "flame": 1, "vapour": 4}
+    assert orders == {"none": 2, "sanding": 2, "felt": 1, "lacquer": 4, "flame": 1, "vapour": 4}
 
 
 @pytest.mark.parametrize("process", BY_HAND, ids=lambda process: process.name)
@@ -68,7 +68,7 @@ def test_work_by_hand_is_shared_out_over_the_area(times: float, area_mm2: float)
         larger = minutes * (2 if process.by_area else 1)
         assert process.k0_rad_per_mm(larger, 2 * area_mm2) == pytest.approx(process.k0_rad_per_mm(minutes, area_mm2))
         assert process.depth_after_um(larger, 2 * area_mm2) == pytest.approx(process.depth_after_um(minutes, area_mm2))
-    assert {process.name for process in BY_HAND if process.by_area} == {"sanding", "felt", "bob", "flame"}
+    assert {process.name for process in BY_HAND if process.by_area} == {"sanding", "felt", "flame"}
 
 
 def test_the_default_minutes_give_the_figures_of_the_library() -> None:
@@ -256,8 +256,7 @@ def test_a_tool_works_by_contact_and_a_film_everywhere(overrides: list[str], dep
 
 @pytest.mark.parametrize("process", [name for name in SHIPPED if name != "none"])
 def test_the_planner_tries_a_finish_by_the_law_of_the_job_it_makes(process: str) -> None:
-    own = ["finish.bob.radius_mm=3"] if process == "bob" else []
-    job = resolve_job(preset="recommended", overrides=[f"finish.process={process}", *own])
+    job = resolve_job(preset="recommended", overrides=[f"finish.process={process}"])
     for one in list_finishings(job):
-        given = [f"finish.process={process}", f"finish.minutes={one.minutes}", *own]
+        given = [f"finish.process={process}", f"finish.minutes={one.minutes}"]
         assert one.finish == finish_of(resolve_job(preset="draft", overrides=given).spec)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from machines.profile import profile_names
 from service.errors import FailedError, SpecError
-from service.job.spec.bob import BOB
 from service.job.spec.finish import BEST, NONE
 from service.job.spec.finish_library import built_in_processes
 from service.job.spec.loading import load_stored_job, resolve_job, restore_job
@@ -23,7 +22,7 @@ jobs = st.builds(
         preset="recommended",
         base={
             "machine": {"profile": profile, **({"top_z_mm": 400.0} if profile == "okuma-osp" else {})},
-            "finish": {"process": process, **({"bob": {}} if process == BOB else {})},
+            "finish": {"process": process},
         },
     ),
     st.sampled_from(profile_names()),

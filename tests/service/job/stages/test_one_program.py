@@ -125,10 +125,6 @@ def test_a_mill_may_run_it(job: StagedJob, tmp_path: Path) -> None:
             "machine.one_program: true is not allowed; allowed: with machine.tool_change = true",
         ),
         ([*CHANGING, "machine.most_program_mb=5"], "allowed: without machine.most_program_mb, which splits programs"),
-        (
-            [*CHANGING, "finish={process='bob',k0_rad_per_mm=3,minutes=2,bob={radius_mm=2}}"],
-            "allowed: without a finish by the mill",
-        ),
     ],
 )
 def test_where_it_would_not_be_safe_it_is_refused(values: list[str], words: str) -> None:

@@ -61,7 +61,6 @@ ROOMY = {"stock.margin_mm": 16.0, "machine.safe_z_mm": 30.0}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
 FELT = {"process": "felt", "k0_rad_per_mm": 3.0, "order": 1.0, "depth_um": 10.0, "minutes": 2.0, "pad_mm": 10.0}
-BOB = {"process": "bob", "k0_rad_per_mm": 3.0, "minutes": 2.0, "bob": {"radius_mm": 2.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
     "image.prepare_detail_mm": (
@@ -71,7 +70,6 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "finish.process": ({"finish": FELT}, {"finish": {**FELT, "process": "sanding"}}),
     **{f"finish.{key}": ({"finish": FELT}, {"finish": {**FELT, key: 2.5}}) for key in FELT if key != "process"},
-    "finish.bob": ({"finish": BOB}, {"finish": {**BOB, "bob": {"radius_mm": 2.5}}}),
     "finish.witness": ({"finish": FELT}, {"finish": {**FELT, "witness": False}}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
     "passes.0.corner_radius_mm": ({}, {"passes.0.corner_radius_mm": 0.5}),
