@@ -169,6 +169,7 @@ class MachineProfile:
     blend_tolerance_mm     : how far the control may round corners; 0: exact stop; None: as programs usually have it
     high_precision         : mode of the control that programs switch on, one of HIGH_PRECISION
     tool_change            : programs change their tool (T, M6) and take its length from the control's table (G43 H)
+    one_program            : a job's programs also come as one, which changes tools in between
     optional_stop          : programs stop before the spindle turns, where the control's switch for it is on (M1)
     units                  : of programs, one of UNITS
     number_every           : an N word on every so many-th line; None: as the dialect has it
@@ -213,6 +214,7 @@ class MachineProfile:
     blend_tolerance_mm: Annotated[float | None, number(0, 1, "mm")] = None
     high_precision: Annotated[str, one_of(*HIGH_PRECISION)] = "none"
     tool_change: Annotated[bool, flag()] = False
+    one_program: Annotated[bool, flag()] = False
     optional_stop: Annotated[bool, flag()] = False
     units: Annotated[str, one_of(*UNITS)] = "mm"
     number_every: Annotated[int | None, whole(1, 1000)] = None

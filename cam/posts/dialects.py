@@ -125,7 +125,12 @@ POSTS: dict[str, Dialect] = {post.name: post for post in _ALL}
 
 
 def find_unsupported(
-    dialect: str, setup: ProgramSetup, *, units: str = "mm", number_every: int | None = None
+    dialect: str,
+    setup: ProgramSetup,
+    *,
+    units: str = "mm",
+    number_every: int | None = None,
+    one_program: bool = False,
 ) -> Iterator[tuple[str, str, Phrase]]:
     """Yield (field, value in words, what is allowed) for every request that a control of this dialect cannot fulfil."""
     post = POSTS[dialect]
@@ -157,6 +162,7 @@ def find_unsupported(
         yield "high_precision", f"'{setup.high_precision}'", allowed
     for field, value, is_able, has in (
         ("tool_change", "true" if setup.tool else "", post.change, lambda one: bool(one.change)),
+        ("one_program", "true" if one_program else "", post.change, lambda one: bool(one.change)),
         ("optional_stop", "true" if setup.optional_stop else "", post.stop, lambda one: bool(one.stop)),
         ("units", "'inch'" if units == "inch" else "", post.inches, lambda one: one.inches),
         ("number_every", f"{number_every}" if number_every else "", post.stop, lambda one: bool(one.stop)),

@@ -16,10 +16,12 @@ import numpy as np
 from cam.reading import gcode_parse, rml_parse
 from cam.reading.gcode_languages import (
     ALLOWED,
+    CHANGES_IN_MIDDLE,
     GRBL,
     LANGUAGES,
     LONG,
     REFUSALS,
+    TOOLS,
     WRONG_WORD,
     Language,
     ProgramError,
@@ -86,13 +88,20 @@ class MoveBatch:
         return self.points_mm[1:]
 
 
-def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> Iterator[MoveBatch]:
+def read_parts(
+    parts: Iterable[Iterable[bytes]], language: Language = GRBL, *, changes_tools: bool = False
+) -> Iterator[MoveBatch]:
     """Yield moves of a pass that is written as several programs, run one after the other, each given in pieces of its
     text.
 
     At the start of each, only the tool's position after the one before is known, in its work offset; lines and bytes
     are counted through.
+
+    changes_tools : each may change its tool in the middle, where the head is at its top and the spindle off
     """
+    rules = language.rules()
+    if changes_tools:
+        rules[TOOLS] *= CHANGES_IN_MIDDLE
     state = np.zeros(gcode_parse.LINE + 1)
     state[:3] = np.nan
     bytes_read = lines_read = 0
@@ -100,14 +109,13 @@ def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> I
         state[3 : gcode_parse.OFFSET] = state[gcode_parse.LINE] = 0.0
         state[gcode_parse.TOOL], state[gcode_parse.LOWERED], state[gcode_parse.GONE] = -1.0, 0.0, 0.0
         state[gcode_parse.UNIT], state[gcode_parse.ABSOLUTE], state[gcode_parse.MOTION] = 1.0, 1.0, -1.0
-        for batch in _batches(chunks, language, state):
+        for batch in _batches(chunks, language, rules, state):
             yield replace(batch, line=batch.line + lines_read, lines_read=batch.lines_read + lines_read,
                           bytes_read=batch.bytes_read + bytes_read) if lines_read else batch  # fmt: skip
         lines_read, bytes_read = batch.lines_read + lines_read, batch.bytes_read + bytes_read
 
 
-def _batches(chunks: Iterable[bytes], language: Language, state: Array) -> Iterator[MoveBatch]:
-    rules = language.rules()
+def _batches(chunks: Iterable[bytes], language: Language, rules: np.ndarray, state: Array) -> Iterator[MoveBatch]:
     parse = rml_parse.parse if language.kind == "rml" else gcode_parse.parse
     rest = b""
     bytes_read = 0

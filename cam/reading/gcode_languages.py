@@ -133,6 +133,7 @@ class ProgramError(CamError):
 
 DWELL_P, DWELL_X, DWELL_F = range(3)
 TAPE, DWELL, TWO_DIGITS, POINTED, DECIMALS, LETTERS, BLENDS, OFFSETS_BY_H, COOLANT, PRECISE, TOOLS, RULES = range(12)
+CHANGES_IN_MIDDLE = 2  # of the rule TOOLS: in the middle, too, where the head is at its top and the spindle off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

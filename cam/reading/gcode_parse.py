@@ -17,6 +17,7 @@ from cam.reading.gcode_languages import (
     BLENDS,
     BLIND,
     BLIND_ARC,
+    CHANGES_IN_MIDDLE,
     COOLANT,
     DECIMALS,
     DECIMALS_LEFT_OUT,
@@ -359,6 +360,9 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
             if seen & _T:
                 state[TOOL] = values[19]
             if m_change or g_length:
+                is_apart = state[RAISED] > 0.0 and state[SPINDLE] == 0.0 and rules[TOOLS] == CHANGES_IN_MIDDLE
+                if m_change and is_apart:
+                    state[LOWERED] = state[GONE] = 0.0
                 if state[LOWERED]:
                     return begin, n, TOOL_LATE, begin
                 if (m_change and state[TOOL] < 0.0) or (g_length and not seen & _H):
@@ -443,7 +447,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 if state[MOTION] < 0.0:
                     return begin, n, NO_MOTION, begin
                 if axes & (1 << 25):
-                    state[LOWERED] = 1.0
+                    state[LOWERED], state[RAISED] = 1.0, 0.0
                 is_cut = state[MOTION] >= 1.0
                 is_arc = state[MOTION] >= 2.0
                 if is_cut and not state[FEED] > 0.0:

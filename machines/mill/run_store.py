@@ -187,8 +187,6 @@ class RunStore:
         self, program: Preflight, path: Path, name: str, *, lift_mm: float | None = None, lifted_from: str = ""
     ) -> Run:
         """Add a run that waits for its start. lift_mm, lifted_from : as in `RunReport`"""
-        if lift_mm is not None:
-            program = program.for_dry_pass()
         run_id = self._folders.new_id(self._wall(), program.sha256)
         self._folders.save_facts(run_id, program)
         record = {

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 from machines.driver import Triple
@@ -85,10 +85,6 @@ class Preflight:
     def faults(self) -> tuple[Phrase, ...]:
         return tuple(one.words for one in self.findings if one.is_fault)
 
-    def for_dry_pass(self) -> Preflight:
-        """Return what holds of it in a dry pass, which is to move with the spindle off."""
-        return replace(self, findings=tuple(one for one in self.findings if one.code != "spindle-off"))
-
     def to_json(self) -> str:
         plain = {name: getattr(self, name) for name in self.__slots__} | {
             "bounds_mm": _bounds_to_plain(self.bounds_mm),
@@ -143,6 +139,7 @@ class MillLimits:
     homing : machine coordinates mean something
     safe_z_mm, top_z_mm, work_offset : as in `machines.profile.MachineProfile`
     mist   : the controller is built with M7; None if it has not reported that
+    dry_pass : the program is one of a dry pass, which moves with the spindle off
     """
 
     profile: str
@@ -160,6 +157,7 @@ class MillLimits:
     top_z_mm: float | None = None
     work_offset: int = 1
     mist: bool | None = None
+    dry_pass: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -170,7 +168,9 @@ class MillLimits:
         return MillLimits(**values)
 
 
-def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
+def limits_of(
+    profile: MachineProfile, settings: ControllerSettings | None = None, *, dry_pass: bool = False
+) -> MillLimits:
     """Return the profile's figures, replaced by the controller's own as far as it has reported them."""
     reported = settings or ControllerSettings()
     fastest = reported.number(30)
@@ -192,6 +192,7 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         top_z_mm=profile.top_z_mm,
         work_offset=profile.work_offset,
         mist=reported.mist,
+        dry_pass=dry_pass,
     )
 
 

@@ -51,6 +51,7 @@ class Reading:
     way_in    : the first motions, until X, Y and Z are given
     last_z_mm : where the last motion ends, in the work frame; nan: in machine coordinates, at last_machine_z_mm
     pause_s   : the longest
+    lines     : that are sent; starved_s: of time_s, how long the mill waits for them
     """
 
     limits: MillLimits
@@ -67,6 +68,7 @@ class Reading:
     pause_s: float
     path_length_mm: float
     time_s: float
+    lines: int = 0
     starved_s: float = 0.0
 
     @property
@@ -238,6 +240,12 @@ def _judge_end(reading: Reading) -> Phrase | None:
     return Phrase("the program has no end (M2 or M30): the spindle stays as the last line leaves it")
 
 
+def _judge_spindle_off(reading: Reading) -> Phrase | None:
+    if reading.limits.dry_pass:
+        return None
+    return _judge_event(tally.SPINDLE_OFF, Phrase("cuts with the spindle off or at S0"))(reading)
+
+
 def _judge_spindle_left_on(reading: Reading) -> Phrase | None:
     return Phrase("the program leaves the spindle on") if reading.spindle_left_on else None
 
@@ -272,22 +280,46 @@ def _judge_numbers(reading: Reading) -> Phrase | None:
 
 
 def _judge_link(reading: Reading) -> Phrase | None:
-    """Warn if the mill waits for lines for much of its time, with the feed that the link carries."""
     limits, feeds = reading.limits, reading.feeds_mm_per_min
-    if feeds is None or not reading.path_length_mm > 0 or not reading.starved_s >= STARVED_SHARE * reading.time_s > 0:
+    if feeds is None:
         return None
-    lines = Phrase("{count:g} lines", count=limits.lines_per_s)
-    carried = lines
-    if limits.bytes_per_s is not None:
-        carried = Phrase("{lines} and {count:.0f} bytes", lines=lines, count=limits.bytes_per_s)
+    return describe_slow_link(
+        limits.lines_per_s,
+        limits.bytes_per_s,
+        feed_mm_per_min=feeds[1],
+        lines=reading.lines,
+        path_length_mm=reading.path_length_mm,
+        time_s=reading.time_s,
+        starved_s=reading.starved_s,
+    )
+
+
+def describe_slow_link(
+    lines_per_s: float,
+    bytes_per_s: float | None,
+    *,
+    feed_mm_per_min: float,
+    lines: int,
+    path_length_mm: float,
+    time_s: float,
+    starved_s: float,
+) -> Phrase | None:
+    """Return the feed that the link can carry, and remedies, if the mill waits for lines for much of its time."""
+    if not path_length_mm > 0 or not starved_s >= STARVED_SHARE * time_s > 0:
+        return None
+    carried = Phrase("{count:g} lines", count=lines_per_s)
+    if bytes_per_s is not None:
+        carried = Phrase("{lines} and {count:.0f} bytes", lines=carried, count=bytes_per_s)
     return Phrase(
         "the link is too slow: the program asks for F{feed_mm_per_min:g}, but {carried} a second carry "
-        "F{average_mm_per_min:.0f} on average; the mill stands waiting for lines {percent:.0f} % of the time. A "
-        "faster link helps, or the control's own memory",
-        feed_mm_per_min=feeds[1],
+        "F{average_mm_per_min:.0f} on average; the mill waits for lines {percent:.0f} % of the time. {need_per_s:.0f} "
+        "lines a second would be enough, and so would the control's own memory; otherwise ask for the feed that the "
+        "link carries and slow the spindle in proportion, or the cutter rubs",
+        feed_mm_per_min=feed_mm_per_min,
         carried=carried,
-        average_mm_per_min=60 * reading.path_length_mm / reading.time_s,
-        percent=100 * reading.starved_s / reading.time_s,
+        average_mm_per_min=60 * path_length_mm / time_s,
+        percent=100 * starved_s / time_s,
+        need_per_s=lines / max(time_s - starved_s, 1.0),
     )
 
 
@@ -329,7 +361,7 @@ RULES = (
     Rule("feed", _FAULT, _judge_feed),
     Rule("spindle-fast", _FAULT, _judge_fastest_spindle),
     Rule("spindle-slow", _FAULT, _judge_slowest_spindle),
-    Rule("spindle-off", _FAULT, _judge_event(tally.SPINDLE_OFF, Phrase("cuts with the spindle off or at S0"))),
+    Rule("spindle-off", _FAULT, _judge_spindle_off),
     Rule(
         "blind-cut",
         _FAULT,

@@ -41,6 +41,9 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
         )
     if len(rows) > 1:
         yield f"machine time of all passes: {duration(sum(row['time_s'] for row in rows))}"
+    if whole := report.get("one_program"):
+        changes = len(whole["changes"])
+        yield f"{whole['file']}: all of them in one program, {whole['lines']} lines, {changes} tool changes"
     for sentence in report.get("warnings", []):
         yield f"warning: {sentence}"
     made = "pictures, programs and" if report.get("passes") else "pictures and"

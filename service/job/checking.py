@@ -30,6 +30,7 @@ from service.job.spec.resolve import (
     facing_task_of,
 )
 from service.job.stages import around
+from service.job.stages.one_program import require_same_moves
 from service.job.stages.programs import first_stock, simulate
 from service.milling.preflight_child import examine
 from service.progress import Reporter, Stopwatch
@@ -149,6 +150,10 @@ def _read_job_tasks(
     rows = job_files.programs_in_order(report)
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
+    whole = str(job_files.table(report.get("one_program")).get("file"))
+    if any(path.name == whole for path in programs):  # it is the others, one after the other
+        require_same_moves(folder / whole, [folder / name for names in files for name in names], job.machine)
+        of_file[whole] = len(files) - 1
     for path in programs:
         if path.name not in of_file or path.parent.resolve() != folder.resolve():
             raise InputError(f"{path}: not a program of the job in {folder}; say --radius-mm and --pitch-mm")

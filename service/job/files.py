@@ -48,7 +48,9 @@ THUMBNAIL_AS_MILLED, THUMBNAIL_AS_FINISHED = "thumbnail-as-milled.png", "thumbna
 THUMBNAILS = (THUMBNAIL_AS_FINISHED, THUMBNAIL_AS_MILLED, THUMBNAIL)  # the first that there is stands for the job
 LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED = "light.bin", "light-as-milled.bin", "light-as-finished.bin"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+ONE_PROGRAM = "all-passes"  # the name, without the dialect's suffix, of all programs in one
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
+_ONE_PROGRAM = re.compile(ONE_PROGRAM + r"\.[a-z0-9]+")
 COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.npz")
 COUPON_FIT_FILES = ("coupon-fit.json", "coupon-fit.png", "coupon-fit.toml")
 COUPON_ARCHIVE = "coupon.zip"
@@ -119,6 +121,11 @@ def is_program(name: str) -> bool:
     return _PROGRAM.fullmatch(name) is not None
 
 
+def is_one_program(name: str) -> bool:
+    """Return whether the file holds all programs of a job, one after the other."""
+    return _ONE_PROGRAM.fullmatch(name) is not None
+
+
 def program_order(name: str) -> tuple[int, int, str]:
     """Return the key that sorts programs into the order in which they are run."""
     pass_number, _, rest = name.removeprefix("pass-").partition("-")
@@ -132,7 +139,7 @@ def is_drawing(name: str) -> bool:
 
 def is_known(name: str) -> bool:
     """Return whether this program writes a file of this name into a job's folder."""
-    return name in _KNOWN or is_program(name) or is_drawing(name)
+    return name in _KNOWN or is_program(name) or is_one_program(name) or is_drawing(name)
 
 
 def is_job_folder(folder: Path) -> bool:

@@ -53,6 +53,7 @@ def run_preflight(
     profile: MachineProfile,
     *,
     settings: ControllerSettings | None = None,
+    dry_pass: bool = False,
     cache: Path | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Preflight:
@@ -60,10 +61,11 @@ def run_preflight(
 
     settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
                what the program would leave of the travel at the present work zero (never kept: a zero moves)
+    dry_pass : the program is one of `write_dry_pass`
     ProgramRefusedError names line, text and way out; PreflightError if the file cannot be read at all.
     """
     folder = cache or default_cache()
-    limits = limits_of(profile, settings)
+    limits = limits_of(profile, settings, dry_pass=dry_pass)
     path = path.absolute()
     try:
         make_private(folder)

@@ -100,6 +100,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         pause_s=totals[tally.LONGEST_PAUSE_S],
         path_length_mm=totals[tally.PATH_MM],
         time_s=model.seconds,
+        lines=int(totals[tally.BLOCKS]),
         starved_s=model.starved_s,
     )
     return Preflight(

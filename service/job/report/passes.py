@@ -10,7 +10,7 @@ from typing import Any
 
 from cam.materials import MATERIALS
 from cam.posts.dialects import POSTS
-from cam.posts.post import HIGH_PRECISION_WORDS, Post
+from cam.posts.post import HIGH_PRECISION_WORDS, MM_PER_INCH, Post
 from cam.rows.entries import RAMP_DEG
 from phrases.phrase import Phrase, join
 from service.job.files import WITNESS, table
@@ -22,6 +22,8 @@ _END_MILLS = {
     "ball": Phrase("a ball end mill"),
     "bull-nose": Phrase("a bull-nose end mill"),
 }
+
+_RESTARTS = {"layer": Phrase("a layer"), "entry": Phrase("an entry"), "row": Phrase("a row")}
 
 Row = Mapping[str, Any]
 Cells = tuple[Phrase, str, list[str]]
@@ -41,6 +43,7 @@ def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list
         *_of_begin(machine),
         *_of_every_program(machine),
         *_of_cut_out(table(stock.get("cut_out")), stock, table(around.get("cut-out"))),
+        *_of_one_program(table(report.get("one_program"))),
     ]
 
 
@@ -49,6 +52,12 @@ def explain_zero_before_facing(spec: Mapping[str, Any]) -> Phrase | None:
     above_mm = table(table(spec.get("stock")).get("face")).get("above_mm")
     if above_mm is None:
         return None
+    if table(spec.get("machine")).get("tool_change"):
+        return Phrase(
+            "Before the facing, touch the raw top with a tool whose length the control knows, and set Z to {above_mm} "
+            "there, not to 0: Z0 lies that far below.",
+            above_mm=number(above_mm, 3),
+        )
     return Phrase(
         "Before the facing, touch the raw top and set Z to {above_mm} there, not to 0: Z0 lies that far below. After "
         "it, set Z0 on the faced top with each new tool.",
@@ -66,6 +75,48 @@ def _describe_facing(face: Mapping[str, Any]) -> Iterator[Phrase]:
             tool=_END_MILLS.get(shape, Phrase("a {shape} end mill", shape=shape)),
             above_mm=number(face.get("above_mm"), 3),
         )
+
+
+def _of_one_program(whole: Mapping[str, Any]) -> Iterator[Phrase]:
+    if whole:
+        changes = [
+            Phrase("T{tool} in line {line} for {file}", tool=one["tool"], line=one["line"], file=one["file"])
+            for one in whole["changes"]
+        ]
+        yield Phrase(
+            "{file} runs all programs one after the other and changes the tools itself: {changes}. Before each change "
+            "the spindle stops and the head goes to its top. Put all of these tools into the changer first, and their "
+            "lengths into the control's table.",
+            file=whole["file"],
+            changes=join(", ", changes),
+        )
+
+
+def describe_restarts(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[tuple[str, list[tuple[Any, ...]]]]:
+    """Return (file in words, rows: line, its text, what begins there, X Y, Z, words in force, time) of programs with
+    places at which they may be entered again, in the unit of the programs.
+
+    spec : with the whole figures of the mill under `machine`
+    """
+    is_inch = table(spec.get("machine")).get("units") == "inch"
+    unit_mm = MM_PER_INCH if is_inch else 1.0
+    whole_file = table(report.get("one_program"))
+    before = {one["file"]: one["lines_before"] for one in whole_file.get("changes") or ()}
+    found = []
+    for file, restarts in table(report.get("restarts")).items():
+        rows = []
+        for row in restarts:
+            x, y, z = (number(value / unit_mm, 3 + is_inch) for value in row["at_mm"])
+            feed, rpm = number(row["feed_mm_per_min"] / unit_mm, 1 + is_inch), number(row["spindle_rpm"])
+            words = f"G{0 if row['is_rapid'] else 1} F{feed} S{rpm}"
+            begins, at_s = _RESTARTS[row["kind"]], duration(row["time_s"])
+            rows.append((whole(row["line"]), row["text"], begins, f"X {x} Y {y}", z, words, at_s))
+        if rows and file in before:
+            whole_name, count = str(whole_file.get("file")), whole(before[file])
+            file = Phrase("{file} ({whole}: {count} lines later)", file=file, whole=whole_name, count=count)
+        if rows:
+            found.append((file, rows))
+    return found
 
 
 def _of_begin(machine: Mapping[str, Any]) -> Iterator[Phrase]:

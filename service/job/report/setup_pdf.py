@@ -223,9 +223,19 @@ def _sections(setup: Mapping[str, Any], most: int, *, is_full: bool) -> list[tup
         ("Warnings", "!", [*map(escape, warnings[:most]), *more]),
         ("Stock and zero", "•", _items("stock", setup) if setup["block"] else []),
         ("Before you press start", "☐", _items("start", setup)),
+        ("Where to go on after a break", "•", _restart_sentences(setup)),
         ("Around the passes", "•", [*map(escape, setup["around"])]),
         ("Finishing by hand", "•", [*map(escape, _finish_sentences(setup, is_full=is_full))]),
     ]
+
+
+def _restart_sentences(setup: Mapping[str, Any]) -> list[str]:
+    """Return how to go on after a break, and for each program its lines with the tool's place and what is in force."""
+    listed = []
+    for file, rows in setup["restarts"]:
+        listed.append(f"<strong>{escape(file)}</strong>")
+        listed += [f"line {row[0]}: {row[3]} Z {row[4]}, {row[5]}, {row[6]}" for row in rows]
+    return [render_block("restart", setup), *listed] if listed else []
 
 
 def _finish_sentences(setup: Mapping[str, Any], *, is_full: bool) -> list[str]:

@@ -38,6 +38,7 @@ from service.job.report.passes import (
     check_rows,
     chip_mm_of,
     describe_bands,
+    describe_restarts,
     explain_zero_before_facing,
     flutes_in_words,
     order_in_words,
@@ -138,7 +139,9 @@ def describe_setup(
         "holding": asdict(holding),
         "base": list(_describe_base(spec, under_head)),
         "rapid_z_mm": rapid_z_mm,
-        "tool_changes": _tool_changes(programs),
+        "tool_changes": _tool_changes(programs, has_lengths=bool(table(spec.get("machine")).get("tool_change"))),
+        "restarts": describe_restarts(spec, report),
+        "one_program": table(report.get("one_program")),
         "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
         "main_pictures": _list_walls(files),
         "finish_pictures": [name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
@@ -308,8 +311,12 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
     return rows
 
 
-def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
-    """Say when Z0 has to be set again: only after a tool change."""
+def _tool_changes(passes: Sequence[Mapping[str, Any]], *, has_lengths: bool) -> str:
+    """Say when Z0 has to be set again: only after a tool change, and never where the control has the tools' lengths."""
+    if has_lengths:
+        return Phrase(
+            "It is set once: the length of each tool is in the control's table, under the number of the tool."
+        )
     radii = [row.get("radius_mm") and cutter(row) for row in passes]
     changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
     if len(radii) < 2:

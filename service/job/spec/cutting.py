@@ -411,6 +411,10 @@ class MachineSpec(Section):
         _shown("High-precision mode", choices={"none": "none", "g05.1": "G05.1", "g08": "G08"}),
     ] = None
     tool_change: Annotated[bool | None, _shown("Tool changes", "T, M6 and G43 H (Okuma's G56 H) at the start.")] = None
+    one_program: Annotated[
+        bool | None,
+        _shown("One program for all", "The programs of the job in one, with the tool changes between them."),
+    ] = None
     optional_stop: Annotated[bool | None, _shown("Optional stop", "M1, before the spindle turns.")] = None
     units: Annotated[Literal["mm", "inch"] | None, _shown("Programs in")] = None
     number_every: Annotated[

@@ -105,7 +105,11 @@ class ResolvedJob:
         if machine.units == "inch":  # rapids travel at whole tenths of an inch, which every digit can state
             machine = replace(machine, safe_z_mm=ceil(10 * machine.safe_z_mm / MM_PER_INCH) / 10 * MM_PER_INCH)
         unsupported = find_unsupported(
-            machine.dialect, setup_of(machine, tool=1), units=machine.units, number_every=machine.number_every
+            machine.dialect,
+            setup_of(machine, tool=1),
+            units=machine.units,
+            number_every=machine.number_every,
+            one_program=machine.one_program,
         )
         problems = [
             (f"machine.{key}", Phrase("{value} is not allowed; allowed: {allowed}", value=value, allowed=allowed))
@@ -114,6 +118,8 @@ class ResolvedJob:
         if spec.machine.top_z_mm is not None and not machine.homing:
             words = Phrase("{value:g} is unknown to a mill without homing; allowed: left out", value=machine.top_z_mm)
             problems.append(("machine.top_z_mm", words))
+        if machine.one_program and not problems and (allowed := _find_obstacle_to_one_program(machine)):
+            problems.append(("machine.one_program", Phrase("true is not allowed; allowed: {allowed}", allowed=allowed)))
         if problems:
             raise SpecError(problems)
         return machine
@@ -121,6 +127,18 @@ class ResolvedJob:
     def with_spec(self, spec: JobSpec) -> ResolvedJob:
         """Return the same figures for another spec that names the same mill, tools and processes."""
         return replace(self, spec=spec)
+
+
+def _find_obstacle_to_one_program(machine: MachineProfile) -> Phrase | None:
+    """Return what has to be otherwise before the job's programs may follow one another without a person."""
+    limits = ("most_program_mb", "most_program_hours")
+    if not machine.tool_change:
+        return Phrase("with machine.tool_change = true, where the control's table has the length of each tool")
+    if machine.top_z_mm is None:
+        return Phrase("with machine.top_z_mm, to which the head goes before a longer tool comes into it")
+    if limit := next((key for key in limits if getattr(machine, key) is not None), None):
+        return Phrase("without machine.{key}, which splits programs", key=limit)
+    return None
 
 
 def _changed_figures(profile: MachineProfile, own: Mapping[str, Any]) -> dict[str, Any]:

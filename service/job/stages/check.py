@@ -14,7 +14,7 @@ from cam.passes import PassSpec, Stock
 from cam.reading.gcode import LANGUAGES as DIALECTS
 from cam.reading.gcode import read_parts
 from machines.errors import ProgramRefusedError
-from machines.preflight.preflight import MillLimits, limits_of
+from machines.preflight.preflight import MillLimits, Preflight, limits_of
 from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import files as job_files
@@ -33,7 +33,9 @@ from service.job.report.figures.path_sample import ContourSample, PathSample
 from service.job.spec.finish_library import instruct_finishing
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal
 from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
+from service.job.stages.one_program import write_one_program
 from service.job.stages.order import merge_notes, merge_reports
+from service.job.stages.restarts import list_restarts
 from service.milling.preflight_child import examine
 
 
@@ -45,11 +47,24 @@ def run_final_check(context: StageContext) -> None:
     limits = limits_of(context.machine)
     for sentence in warn_of_removal(context.spec, context.machine):
         context.note("passes", sentence)
+    asked = frozenset({"stops"} if context.machine.optional_stop else ())
     with context.watch.stage("pre-flight") as on_progress:
+        found: dict[str, Preflight] = {}
         files = [file for row in programs_in_order(context.so_far) for file in files_of_pass(row)]
         for number, (name, sha256) in enumerate(files):
-            for warning in _warnings(context.folder / name, sha256, limits, _part(on_progress, number, len(files))):
-                context.note("passes", Phrase("{file}: {warning}", file=name, warning=warning))
+            found[name] = _examine(context.folder / name, sha256, limits, _part(on_progress, number, len(files)))
+            for one in found[name].findings:
+                if one.code not in asked:
+                    context.note("passes", Phrase("{file}: {warning}", file=name, warning=one.words))
+        if context.machine.one_program:
+            whole = write_one_program(context.folder, context.so_far, context.machine)
+            _examine(context.folder / whole["file"], whole["sha256"], limits, lambda share: None)
+            context.report["one_program"] = whole
+        context.report["restarts"] = {
+            name: list_restarts(context.folder / name, found[name], spec, context.machine)
+            for row, spec in zip(rows, cam_passes_of(context.spec), strict=True)
+            for name in names_of_pass(row)
+        }
     _draw_envelope(context)
     _draw(context, [[context.folder / name for name in names_of_pass(row)] for row in rows])
 
@@ -66,7 +81,8 @@ def _draw_envelope(context: StageContext) -> None:
     context.save(ENVELOPE, picture)
 
 
-def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:
+def _examine(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
+    """Return the pre-flight of a program; FailedError if a mill may not run it, or it is not the one simulated."""
     try:
         found = examine(path, limits, on_share)
     except ProgramRefusedError as error:
@@ -77,7 +93,7 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
         )
     if found.faults:
         raise FailedError(*(Phrase("{name}: {fault}", name=path.name, fault=fault) for fault in found.faults))
-    return found.warnings
+    return found
 
 
 def _draw(context: StageContext, programs: list[list[Path]]) -> None:

@@ -18,10 +18,11 @@ from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm
+from cam.posts.post import RML
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
-from machines.preflight.rules import STARVED_SHARE
+from machines.preflight.rules import describe_slow_link
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from phrases.phrase import Phrase
@@ -51,7 +52,6 @@ from service.job.spec.resolve import (
     tool_key,
 )
 from service.job.stages.context import StageContext
-from service.wording import duration
 
 Check = TypeVar("Check", PassCheck, AroundCheck)
 
@@ -190,22 +190,21 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[Phrase]:
 
 
 def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
-    """Yield the feed that the link can carry, and remedies, if the mill has to wait for lines."""
-    if verdict.starved_s < STARVED_SHARE * verdict.time_s:
-        return
-    carried, moving_s = 60 * verdict.path_length_mm / verdict.time_s, verdict.time_s - verdict.starved_s
-    yield Phrase(
-        "the link is too slow: the program asks for F{feed_mm_per_min:g}, but {lines_per_s:g} lines a second carry "
-        "F{carried_mm_per_min:.0f} on average; the mill waits for lines {starved} of {whole}. {need_per_s:.0f} "
-        "lines a second would be enough (machine.lines_per_s), and so would the control's own memory; otherwise "
-        "ask for the feed that the link carries and slow the spindle in proportion, or the cutter rubs",
-        feed_mm_per_min=spec.feed_mm_per_min,
-        lines_per_s=machine.lines_per_s,
-        carried_mm_per_min=carried,
-        starved=duration(verdict.starved_s),
-        whole=duration(verdict.time_s),
-        need_per_s=verdict.lines / moving_s,
-    )
+    """Yield the feed that the link can carry, if the mill waits for lines: of RML-1, whose time the pre-flight only
+    estimates; of every other dialect the pre-flight says so.
+    """
+    if machine.dialect == RML.name and (
+        words := describe_slow_link(
+            machine.lines_per_s,
+            None,
+            feed_mm_per_min=spec.feed_mm_per_min,
+            lines=verdict.lines,
+            path_length_mm=verdict.path_length_mm,
+            time_s=verdict.time_s,
+            starved_s=verdict.starved_s,
+        )
+    ):
+        yield words
 
 
 def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:

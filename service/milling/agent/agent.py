@@ -152,10 +152,11 @@ class Agent:
     keys: ClientKeys
     audit: AuditLog
 
-    def run_preflight(self, program: Path) -> Preflight:
+    def run_preflight(self, program: Path, *, dry_pass: bool) -> Preflight:
         """Read a whole program and check it against this mill's own settings. Slow: not for the event loop's thread."""
         settings = self.connector.settings
-        facts = run_preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
+        cache = self.settings.folder / "preflight"
+        facts = run_preflight(program, self.profile, settings=settings, dry_pass=dry_pass, cache=cache)
         demand_blocks(facts, program.stem[:12])
         return facts
 

@@ -207,6 +207,7 @@ def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Prefl
             order.program,
             order.profile,
             settings=settings,
+            dry_pass=order.lift_mm is not None,
             on_progress=lambda share: reporter.report_share(stage, share),
         )
         reporter.end_stage(stage, time.monotonic() - begun)

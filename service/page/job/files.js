@@ -13,6 +13,7 @@ const SHEET = "report.html";
 const OFFERED = [
   [SHEET, t("Setup sheet"), t("to print and take to the mill")],
   ["setup-sheet.pdf", t("Setup sheet on one page (PDF)"), t("to hang beside the mill")],
+  ...["ngc", "nc", "min"].map((kind) => [`all-passes.${kind}`, t("All programs in one"), t("for a control that changes tools itself")]),
   ["lens.stl", t("Solid of the lens (STL)"), t("to look at in other programs")],
   ["lens.step", t("Exact solid of the lens (STEP)"), t("for a shop with its own CAM")],
   ["lens.stpZ", t("Exact solid of the lens (STEP, packed)"), t("for a shop with its own CAM")],

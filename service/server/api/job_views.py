@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from service.job.files import is_program
+from service.job.files import is_one_program, is_program
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
 from service.job.stages.table import usual_seconds
@@ -113,7 +113,7 @@ def make_artifact_view(file: Artifact) -> ArtifactView:
 
 
 def media_type(name: str) -> str:
-    if is_program(name):
+    if is_program(name) or is_one_program(name):
         return _PROGRAM_TYPE
     return _MEDIA_TYPES.get(f".{name.rpartition('.')[2]}", _OTHER_TYPE)
 

@@ -21,7 +21,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from phrases.phrase import phrases_in
-from service.job.files import is_program, program_order
+from service.job.files import is_one_program, is_program, program_order
 from service.server.database.connection import insert_new, is_sqlite, put_rows
 from service.server.database.records import (
     Artifact,
@@ -226,7 +226,8 @@ def may_be_milled(connection: sa.Connection, job: Job) -> bool:
 
 
 def _is_program(artifact: Artifact) -> bool:
-    return artifact.stage.startswith(PASS) and not artifact.name.endswith(LOG)
+    is_of_pass = artifact.stage.startswith(PASS) and not artifact.name.endswith(LOG)
+    return is_of_pass or is_one_program(artifact.name)
 
 
 def _find_checked_jobs(connection: sa.Connection, job_ids: Collection[str]) -> set[str]:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cam.joining import find_tool_changes, hash_moves, join_programs
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS, find_unsupported
 from cam.posts.post import ProgramSetup
@@ -95,6 +96,71 @@ def test_a_second_tool_and_a_length_in_the_middle_are_refused_by_the_check_and_r
     file.write_bytes(head + b"M5\nT2M6\nG43H2\nG0X1Y1Z5\nM3\nG1Z-1\nG0Z5\nM5\nM2\n")
     profile = replace(load_profile("linuxcnc"), safe_z_mm=5.0)
     assert any(one.code == "frame" for one in examine(file, limits_of(profile), lambda share: None).findings)
+
+
+def three_programs(dialect, *, units="mm", number_every=None) -> list[bytes]:
+    ways = [(1, 2, -3), (4, 2, -3)], [(9, 9, -1), (9, 5, -2)], [(0, 0, -4), (1, 1, -4.5)]
+    given = {"units": units, "number_every": number_every, "stop": True}
+    return [program(dialect, way, tool=tool, **given) for way, tool in zip(ways, (1, 4, 1), strict=True)]
+
+
+def pieces_of(text: bytes, size: int) -> list[bytes]:
+    return [text[at : at + size] for at in range(0, len(text), size)]
+
+
+@pytest.mark.parametrize("dialect", CHANGING)
+@settings(max_examples=15, deadline=None)
+@given(units=st.sampled_from(["mm", "inch"]), every=st.sampled_from([None, 1, 3]), size=st.integers(1, 400))
+def test_programs_in_one_move_as_they_do_alone_and_a_control_runs_them(dialect, units, every, size, tmp_path_factory):
+    parts = three_programs(dialect, units=units, number_every=every)
+    post = POSTS[dialect].adapt(units=units, number_every=every)
+    whole = b"".join(join_programs((pieces_of(part, size) for part in parts), post))
+    language = LANGUAGES[dialect]
+    alone = hash_moves(read_parts(([part] for part in parts), language))
+    assert hash_moves(read_parts([pieces_of(whole, size)], language, changes_tools=True)) == alone
+    lines = whole.splitlines(keepends=True)
+    changes = find_tool_changes(lines)
+    assert [tool for _, tool in changes] == [1, 4, 1]
+    mill = Interpreter(dialect=dialect)
+    for number, line in enumerate(lines, 1):
+        if number in dict(changes):  # the head is at its top, which the work frame does not know; all is off
+            assert mill.state.position_mm[2] is None and mill.state.spindle == "M5"
+        mill.take(line.rstrip())
+        assert mill.state.tool == dict(changes).get(number, mill.state.tool)
+    assert [whole.count(word) for word in post.tape and (b"%", b"\nO")] == [2, 1][: len(post.tape)]
+    assert sum(line.strip() in (b"M2", b"M30") for line in lines) == 1
+    numbers = [int(n) for n in re.findall(rb"^N(\d+)", whole, re.M)]
+    assert numbers == sorted(set(numbers)) and bool(numbers) == (post.number_every in (1, 3))
+    file = tmp_path_factory.mktemp("whole") / "all.nc"
+    file.write_bytes(whole)
+    profile = replace(
+        *[load_profile({"okuma": "okuma-osp"}.get(dialect, "linuxcnc"))],
+        dialect=dialect, safe_z_mm=SAFE_Z, homing=True, top_z_mm=-1.0,
+    )  # fmt: skip
+    found = examine(file, limits_of(profile), lambda share: None)
+    assert not found.faults, found.faults
+    assert set(found.bounds_by_frame) == {"G54", "machine"}
+
+
+def test_a_program_that_does_other_moves_than_its_parts_is_found_out():
+    parts = three_programs("linuxcnc")
+    whole = b"".join(join_programs(([part] for part in parts), POSTS["linuxcnc"]))
+    alone = hash_moves(read_parts(([part] for part in parts), LANGUAGES["linuxcnc"]))
+    for found, planted in ((b"Y5", b"Y5.0001"), (b"F250", b"F251"), (b"S6000", b"S6001"), (b"G4P4", b"G4P5")):
+        assert found in whole
+        changed = whole[::-1].replace(found[::-1], planted[::-1], 1)[::-1]
+        assert hash_moves(read_parts([[changed]], LANGUAGES["linuxcnc"], changes_tools=True)) != alone
+    with pytest.raises(ValueError, match="program 1 ends with"):
+        list(join_programs([[parts[0] + b"G0X1\n"], [parts[1]]], POSTS["linuxcnc"]))
+
+
+@pytest.mark.parametrize("at_change", [b"", b"G0Z5\nM5\n", b"G53G0Z0\n", b"G53G0Z0\nM5\nG0Z5\n"])
+def test_a_tool_is_changed_in_the_middle_only_at_the_top_with_the_spindle_off(at_change):
+    head = b"G21G90G17G54\nT1M6\nG53G0Z0\nG0X0Y0\nG0G43H1Z5\nM3S6000\nG1Z-1F100\n"
+    tail = b"T2M6\nG0X1Y1\nG0G43H2Z5\nM3\nG1Z-1\nG53G0Z0\nM5\nM2\n"
+    assert list(read_parts([[head + b"G53G0Z0\nM5\n" + tail]], LANGUAGES["linuxcnc"], changes_tools=True))
+    with pytest.raises(ProgramError, match="T2M6"):
+        list(read_parts([[head + at_change + tail]], LANGUAGES["linuxcnc"], changes_tools=True))
 
 
 def test_a_length_from_the_table_is_part_of_the_state_so_that_recovery_can_refuse():

@@ -262,6 +262,13 @@ CASES = {  # text: codes that are among the findings, and that are not
 }
 
 
+def test_the_spindle_of_a_dry_pass_is_off_and_all_other_rules_hold(tmp_path: Path) -> None:
+    (file := tmp_path / "p.nc").write_text(HEAD + "G0 Z5\nX0 Y0\nG1 Z-1 F100\nX9\nG0 Z1\nM2\n")
+    for dry_pass, codes in ((False, {"spindle-off", "way-out"}), (True, {"way-out"})):
+        found = examine(file, replace(limits("grbl"), dry_pass=dry_pass), lambda share: None).findings
+        assert {one.code for one in found} == codes
+
+
 @pytest.mark.parametrize("text", CASES)
 def test_what_is_said_of_programs_written_by_hand(tmp_path: Path, text: str) -> None:
     (file := tmp_path / "p.nc").write_text(text)

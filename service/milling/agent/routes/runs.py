@@ -129,7 +129,9 @@ class RunRoutes:
             if lift_mm is not None:
                 source, name = path, f"{name} +{lift_mm:g} mm"
                 path = await self._agent.access.work(lambda: self._agent.make_dry_pass(source, lift_mm))
-            facts: Preflight = await self._agent.access.work(lambda: self._agent.run_preflight(path))
+            facts: Preflight = await self._agent.access.work(
+                lambda: self._agent.run_preflight(path, dry_pass=lift_mm is not None)
+            )
             run: RunReport = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name, body))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))

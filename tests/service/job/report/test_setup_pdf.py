@@ -86,6 +86,31 @@ def test_it_says_what_the_whole_sheet_says_in_the_same_words() -> None:
     assert "no clamp on top" in pdf  # in the drawing
 
 
+def restarts(count: int) -> list[dict[str, Any]]:
+    row = {"text": "X3.2Z-0.41", "at_mm": [-0.8, 3.125, -0.4], "is_rapid": False, "feed_mm_per_min": 900.0}
+    more = {"kind": "row", "spindle_rpm": 9200.0, **row}
+    lines = [{"line": 100 * k, "time_s": 600.0 * k, **more} for k in range(1, count)]
+    return [{**lines[0], "line": 7, "kind": "layer", "is_rapid": True, "at_mm": [1.0, 2.0, 5.0]}, *lines]
+
+
+def test_the_lines_to_go_on_from_after_a_break_stand_on_both() -> None:
+    report = REPORT | {"restarts": {f"pass-{k}-finish.nc": restarts(12) for k in (1, 2)} | {"pass-3-short.nc": []}}
+    page, pdf = Page(render_report(report, spec=SPEC)).text, words(sheet_of(report))
+    for said in (
+        "Where to go on after a break",
+        "stream PROGRAM --recover",
+        "X −0.8 Y 3.125",
+        "G1 F900 S9200",
+        "1 h 50 min",
+    ):
+        assert said in page and said in pdf, said
+    assert page.count("X3.2Z-0.41") == 24 and page.count("a layer") == 2 and "G0 F900" in page
+    assert START in pdf and all(x >= 0 and y >= 0 for x, y in places(sheet_of(report)))
+    assert "after a break" not in Page(render_report(REPORT, spec=SPEC)).text + words(sheet_of())
+    spec = SPEC | {"machine": {**SPEC.get("machine", {}), "units": "inch"}}
+    assert "X −0.0315 Y 0.123" in Page(render_report(report, spec=spec)).text
+
+
 @pytest.mark.thorough
 def test_the_same_job_has_the_same_bytes_whatever_the_clock_says() -> None:
     other = REPORT | {"timings_s": {"lens": 99.0}, "peak_rss_mb": 1.0}

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from service.errors import FailedError, InputError, PictureError, ServiceError
-from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
+from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult, merge_notes
 from service.job.stages.run import run_order
 from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
 
@@ -66,17 +66,19 @@ def test_a_damaged_and_a_black_picture_are_refused_by_their_name(job: StagedJob,
 
 
 def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> None:
-    """The feed it carries is that of way and time; one that carries all of it is not told of."""
+    """The feed it carries is that of way and time; one that carries all of it is not told of; both once."""
     slow = staged_job(tmp_path, "machine.lines_per_s=20").run_all(until="check", without=("caustic",))
-    row, (told, thin) = slow.report["passes"][1], slow.results["pass-2"].notes["passes"]
-    assert "chips are too thin" in thin and "waits for lines" in thin
-    found = re.search(r"F(\d+), but 20 lines a second carry F(\d+) .* (\d+) lines a second would", told)
+    slow.run("check")
+    row, notes = slow.report["passes"][1], merge_notes(one.notes for one in slow.results.values())["passes"]
+    (told,) = (note for note in notes if note.startswith(row["file"]) and "link" in note)
+    assert any("chips are too thin" in note and "waits for lines" in note for note in notes)
+    found = re.search(r"F(\d+), but 20 lines and \d+ bytes a second carry F(\d+) .* (\d+) lines a second would", told)
     assert found is not None, told
     asked, carried, enough = map(float, found.groups())
     assert asked == row["settings"]["feed_mm_per_min"]
     assert carried / 60 == pytest.approx(row["path_length_mm"] / row["time_s"], rel=0.01)
     slow.spec = tiny_spec(f"machine.lines_per_s={3 * enough}")
-    assert not any("link" in note for note in slow.run("pass-2").notes.get("passes", ()))
+    assert not any(row["file"] in note and "link" in note for note in slow.run("check").notes.get("passes", ()))
 
 
 def test_the_limits_of_the_order_hold(job: StagedJob, tmp_path: Path) -> None:

@@ -53,6 +53,10 @@ OTHER: dict[str, Any] = {
 }  # fmt: skip
 ONLY_ONE_VALUE = {"passes.0.where", "passes.1.corner_radius_mm"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
+CHANGING = {
+    **LINUXCNC, "machine.tool_change": True, "machine.top_z_mm": 0.0, "machine.most_program_mb": None,
+    "machine.most_program_hours": None,
+}  # fmt: skip
 ROOMY = {"stock.margin_mm": 16.0, "machine.safe_z_mm": 30.0}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
@@ -75,6 +79,7 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "stock.clamping": (ROOMY, {**ROOMY, "stock.clamping": "strap-m6"}),
     "machine.top_z_mm": (LINUXCNC, {**LINUXCNC, "machine.top_z_mm": -1.0}),
     "machine.tool_change": (LINUXCNC, {**LINUXCNC, "machine.tool_change": True}),
+    "machine.one_program": (CHANGING, {**CHANGING, "machine.one_program": True}),
     "machine.optional_stop": (LINUXCNC, {**LINUXCNC, "machine.optional_stop": True}),
     "machine.number_every": (LINUXCNC, {**LINUXCNC, "machine.number_every": 1}),
     "machine.blend_tolerance_mm": (LINUXCNC, {**LINUXCNC, "machine.blend_tolerance_mm": 0.002}),
