@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cam.joining import join_programs
 from cam.moves import SAFE_Z_MM
 from cam.parts import PartLimits
 from cam.passes import PAPER_PASSES, PassSpec, Stock
@@ -61,6 +62,7 @@ def figures() -> Iterator[Figure]:
 def _dialect(dialect: str, *, units: str = "mm", as_kept: bool = False) -> Figure:
     """as_kept: with a tool change, an optional stop and N words as well, where the control has them."""
     programs, lines, broken, unit_mm = 0, 0, "", MM_PER_INCH if units == "inch" else 1.0
+    joined: list[bytes] = []
     post = POSTS[dialect]
     changes = as_kept and bool(post.change)
     post = post.adapt(units=units, number_every=1 if changes else None)
@@ -68,6 +70,8 @@ def _dialect(dialect: str, *, units: str = "mm", as_kept: bool = False) -> Figur
     for spec, parts in _passes(post, setup):
         ours = _positions_read(dialect, parts)
         theirs = []
+        if changes:
+            joined += parts
         for part in parts:
             places, error = interpreted(part, dialect)
             broken = broken or error
@@ -76,9 +80,15 @@ def _dialect(dialect: str, *, units: str = "mm", as_kept: bool = False) -> Figur
         off_mm = _deviation_mm(ours, np.vstack(theirs), allowed_mm=PRINTED * unit_mm)
         if off_mm > PRINTED * unit_mm:
             broken = broken or f"{spec.name} {spec.strategy}: a place is off by {off_mm:.5f} mm"
+    if joined:
+        places, error = interpreted(b"".join(join_programs(([part] for part in joined), post)), dialect)
+        broken = broken or error
+        off_mm = _deviation_mm(_positions_read(dialect, joined), places * unit_mm, allowed_mm=PRINTED * unit_mm)
+        if off_mm > PRINTED * unit_mm:
+            broken = broken or f"all in one file: a place is off by {off_mm:.5f} mm"
     said = f"{programs} programs accepted, every place as we read it, to the four decimals that are printed"
     own = "; its own words (name, dwell, offset) translated" if dialect in _OWN_WORDS else ""
-    kept = f", {units}{', T M6, G43 H, M1, N' if changes else ''}" if as_kept else ""
+    kept = f", {units}{', T M6, G43 H, M1, N, and all in one file' if changes else ''}" if as_kept else ""
     return Figure(
         f"LinuxCNC's interpreter: {dialect}{kept}", lines, "lines", f"BROKEN: {broken}" if broken else said + own
     )
