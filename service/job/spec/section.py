@@ -43,7 +43,7 @@ class FieldLook(TypedDict, total=False):
     look   : choices with a description of each
     """
 
-    card: Literal["main", "lens", "light", "mill", "picture"]
+    card: Literal["main", "light", "mill", "picture"]
     first: bool
     usual: str
     filled: bool

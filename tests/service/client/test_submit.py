@@ -45,7 +45,7 @@ def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(workin
     for kind, stage in re.findall(r'^event: (\S+)\ndata: {"stage":"(\S+?)"', events, flags=re.MULTILINE):
         if kind in kinds:
             kinds[kind].append(stage)
-    assert kinds["stage.reused"] == ["image", "irradiance", "map", "heightfield", "caustic", "pass-1"]
+    assert kinds["stage.reused"] == ["image", "irradiance", "map", "heightfield", "caustic", "fit", "pass-1"]
     assert kinds["stage.committed"] == ["pass-2", "check", "as-milled", "report"]
 
 
