@@ -79,6 +79,8 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
     ) -> list[str]:
         machine = copy.deepcopy(MACHINE)
         machine["mill"] |= mill
+        if run and run["state"] == "running":
+            machine["run"] = run
         found: list[str] = modules.evaluate(DUE, [machine, run, mine, ticked, {"jobs": jobs, "atWork": at}])
         return [text.replace("\xa0", " ") for text in found]
 
@@ -108,6 +110,9 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
         assert "may not" not in due(ALL_SET | UP, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
         dry = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True, "lift_mm": 20}, ticked=ticked)
         assert "load it less high, or start the dry pass" in dry[2], "what its button does is said beside it"
+    running = RUN | {"state": "running"}
+    assert due(ALL_SET | {"state": "run"}, run=running)[2] == "The program runs."
+    assert due(ALL_SET | {"state": "run"}, run=running | {"lift_mm": 20})[2] == "The dry pass runs: nothing is cut."
     after_another = ALL_SET | UP | {"needs": ["a program has ended"]}
     new_tool = due(after_another, run=RUN)
     assert new_tool[:2] == ["zero", "Z = 0 here"]

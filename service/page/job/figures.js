@@ -51,7 +51,7 @@ export function detailOfPlan(spec, row) {
   return Math.max(pixelMm(spec), 2 * row.blur_mm);
 }
 
-/** What the report says of all programs, in the order in which they are run: facing, passes, marks, polishing, cutting out. */
+/** What the report says of all programs, in the order in which they are run: facing, passes, marks, cutting out. */
 export function programRows(report) {
   const { face, witness, "cut-out": cutOut } = report?.around ?? {};
   return [face, ...(report?.passes ?? []), witness, cutOut].filter(Boolean);

@@ -46,7 +46,7 @@ function makeStep(step, words, more = {}) {
 function findRunningStep({ machine: { mill, run }, mine }) {
   const resume = mine ? RESUME : t("take control, then Resume; or STOP.");
   if (mill.state === "held") return makeStep("resume", resume, { kind: "warn" });
-  if (run.state === "running") return makeStep("run", t("The program runs."), { kind: "busy", whole: true });
+  if (run.state === "running") return makeStep("run", isDry(run) ? t("The dry pass runs: nothing is cut.") : t("The program runs."), { kind: "busy", whole: true });
   return makeStep("run", t("wait until it stands still."), { kind: "busy" });
 }
 
@@ -156,7 +156,7 @@ function findLoadStep(run, { ready, jobs, atWork, preset }) {
   if (atWork && !preset?.meant) return makeStep("wait", t`wait for the running job (${atWork} is done), then load its program here. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
-  if (run && isCut(run) && !run.next) return makeStep("done", doneWords(run), { go: "load" });
+  if (run && isCut(run) && !run.next) return makeStep("done", doneWords(run), { go: "program" });
   return preset ? makeStep("load", loadWords(run, preset), { act: LOAD }) : makeStep("load", t("load a program."), { go: "load" });
 }
 

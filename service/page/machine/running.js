@@ -5,6 +5,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { locale, t } from "../lib/language.js";
 import { isCut, isDry, mark, shape } from "../lib/state.js";
 import { ball, hours, percent, sentence, thousands } from "../lib/words.js";
+import { programRows } from "../job/figures.js";
 import { workClock } from "../job/work_clock.js";
 import { checklist } from "./checklist.js";
 import { notifySwitch } from "./notify.js";
@@ -99,7 +100,7 @@ function meter() {
     job = id;
     passes = [];
     const found = await api.get(`/v1/jobs/${id}`).catch(() => null); // without it there is still the run itself
-    if (job === id) passes = found?.report?.passes ?? [];
+    if (job === id) passes = programRows(found?.report);
   }
 
   return {
