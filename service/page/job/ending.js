@@ -11,7 +11,7 @@ import { knownMills, sendLink } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink, sheetOf } from "./save.js";
 import { mills } from "../machine/mills.js";
-import { addressOf } from "../machine/words.js";
+import { addressOf, hasLiveRun } from "../machine/words.js";
 
 const ASKED = "target.png";
 const SEEN = ON_THE_WALL.filter(({ name }) => name !== ASKED); // from ideal to real
@@ -27,7 +27,7 @@ export function endingPart() {
     const isMade = job.state === "succeeded";
     const seen = (isMade ? SEEN : ON_THE_WALL).findLast(({ name }) => artifacts.has(name));
     node.hidden = isMade ? !seen : !isGoing(job);
-    const key = isMade ? artifacts.get(seen?.name)?.sha256 : `${seen?.name} ${mills.seen.machines.length}`;
+    const key = isMade ? artifacts.get(seen?.name)?.sha256 : `${seen?.name} ${freeMills().map(({ name }) => name)}`;
     if (node.hidden || key === shown) return;
     shown = key;
     const isKnown = seen && seen.name !== ASKED;
@@ -44,11 +44,15 @@ export function endingPart() {
   return { node, update, free: shelf.free };
 }
 
+function freeMills() {
+  return mills.seen.machines.filter((machine) => !hasLiveRun(machine));
+}
+
 /** seen: the picture that is there by now, if any. */
 function makingWords(job, seen) {
-  const { machines } = mills.seen, to = machines.length === 1 ? `${addressOf(machines[0].name)}?job=${job.id}` : "#/machines";
+  const free = freeMills(), to = free.length === 1 ? `${addressOf(free[0].name)}?job=${job.id}` : "#/machines";
   const now = seen && (seen.name === ASKED ? t("the picture as asked for: its light is not worked out yet") : t`On the wall, ${within(seen.title)}`);
-  const ready = machines.length > 0 && h("p", {}, h("a", { class: "button", href: to }, t("Get the mill ready meanwhile")));
+  const ready = free.length > 0 && h("p", {}, h("a", { class: "button", href: to }, t("Get the mill ready meanwhile")));
   return [h("h2", { id: "ending-title" }, t("Your lens is being made")), now && h("p", { class: "dim" }, capital(now), "."), ready];
 }
 
