@@ -57,9 +57,8 @@ from cam.reading.gcode_languages import (
 )
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 to 3 for G0 to G3 (-1:
-# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks seen, work offset from 1 (0: not
-# named yet), head raised in machine coordinates, tool (-1: none named), a Z of the work frame reached, then gone to a
-# place that only the control knows, lines read.
+# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks, work offset from 1 (0: not yet),
+# head raised, tool (-1: none), a Z of the work frame reached, then gone where only the control knows, lines read.
 (
     X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, RAISED, TOOL, LOWERED,
     GONE, LINE,
@@ -360,8 +359,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
             if seen & _T:
                 state[TOOL] = values[19]
             if m_change or g_length:
-                is_apart = state[RAISED] > 0.0 and state[SPINDLE] == 0.0 and rules[TOOLS] == CHANGES_IN_MIDDLE
-                if m_change and is_apart:
+                if m_change and state[RAISED] > 0.0 and state[SPINDLE] == 0.0 and rules[TOOLS] == CHANGES_IN_MIDDLE:
                     state[LOWERED] = state[GONE] = 0.0
                 if state[LOWERED]:
                     return begin, n, TOOL_LATE, begin
