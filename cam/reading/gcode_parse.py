@@ -57,7 +57,7 @@ from cam.reading.gcode_languages import (
 )
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 to 3 for G0 to G3 (-1:
-# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks, work offset from 1 (0: not yet),
+# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks, work offset from 1 (0: none),
 # head raised, tool (-1: none), a Z of the work frame reached, then gone where only the control knows, lines read.
 (
     X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, RAISED, TOOL, LOWERED,
