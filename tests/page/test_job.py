@@ -155,7 +155,7 @@ def test_time_left_goes_down_to_the_end_and_never_to_nothing_while_minutes_remai
         assert not (left > 120 and words.startswith("less")), (share, left, words)
 
 
-FIRST = (3.1, 1.0, 4.3, 3.3, 12.3, 0.8, 20.8, 11.5, 20.1, 37.5, 0.1)  # s, of a first job: each stage compiles its kernels
+FIRST = (3.1, 1.0, 4.3, 3.3, 12.3, 0.8, 20.8, 11.5, 20.1, 37.5, 0.1)  # s: each stage compiles its kernels
 
 
 def test_the_first_job_on_a_computer_is_never_all_but_done_while_minutes_remain(modules: Page) -> None:
