@@ -152,15 +152,6 @@ def test_one_tone_is_a_plain_window_and_refused(capsys: pytest.CaptureFixture[st
         (["stock.thickness_mm=2.05"], ["relief", "stock.thickness_mm", "2.05", "or more"]),
         (["machine.travel_mm=[9,300,80]"], ["optics.width_mm", "machine.travel_mm.0", "along X", "travels 9 mm"]),
         (["machine.travel_mm=[300,300,5]"], ["machine.travel_mm.2", "Z", "at least"]),
-        (
-            [
-                "passes=[{radius_mm=25,pitch_mm=0.5}]",
-                "machine.travel_mm=[900,900,90]",
-                "machine.collet_mm=50",
-                "optics.min_radius_mm=0.5",
-            ],
-            ["25", "largest that fits"],
-        ),
     ],
 )
 def test_jobs_that_cannot_be_made(
@@ -169,6 +160,19 @@ def test_jobs_that_cannot_be_made(
     settings = [part for option in options for part in ("--set", option)]
     refused(capsys, 2, ["make", str(picture), "-o", str(tmp_path / "out"), *SMALL, *settings, "--quiet"], *words)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
+
+
+@pytest.mark.thorough
+def test_a_ball_that_touches_too_little_of_its_lens_leaves_the_lens(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path
+) -> None:
+    large = ("passes=[{radius_mm=25,pitch_mm=0.5}]", "machine.travel_mm=[900,900,90]", "machine.collet_mm=50")
+    settings = [part for one in (*large, "optics.min_radius_mm=0.5") for part in ("--set", one)]
+    assert run(["make", str(picture), "-o", str(tmp_path / "out"), *SMALL, *settings, "--quiet"]) == 2
+    fault, kept = capsys.readouterr().err.splitlines()
+    assert fault.startswith("error: passes.0.radius_mm: 25 ") and "largest that fits" in fault
+    assert "causticmill cam" in kept
+    assert (tmp_path / "out" / "heightfield.npz").is_file() and not list(tmp_path.rglob("*.nc"))
 
 
 @pytest.mark.thorough
