@@ -45,7 +45,7 @@ def join_programs(programs: Iterable[Iterable[bytes]], post: Post) -> Iterator[b
 
 
 def _number_onward(text: bytes, base: int) -> bytes:
-    """Return the text with N words that are so much higher."""
+    """Add base to each N word of the text."""
     return _NUMBER.sub(lambda found: b"N%d" % (base + int(found[1])), text) if base else text
 
 

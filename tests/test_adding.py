@@ -246,7 +246,7 @@ def test_a_cutter_s_shape_is_added_in_one_file(tmp_path: Path) -> None:
         + """
 import numpy as np
 from cam.around.check import check_facing
-from cam.around.watch import CheckedMill
+from cam.around.check import CheckedMill
 from cam.around.paths import make_facing_paths
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import GRBL

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from cam.around.watch import AroundCheck
+from cam.around.check import AroundCheck
 from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock

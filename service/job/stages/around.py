@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from cam.around.check import check_cut_out, check_facing, check_witness
+from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing, check_witness
 from cam.around.paths import find_highest_along, make_cut_out_paths, make_facing_paths, make_witness_paths
 from cam.around.specs import CutOut, Facing, WitnessCut
-from cam.around.watch import AroundCheck, CheckedMill
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
@@ -109,7 +108,7 @@ def run_cut_out(context: StageContext) -> None:
     loop = cut_out_ways(context.job, task)[1]
     top_mm = find_highest_along(loop, task.radius_mm, top)
     paths = make_cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
-    written = write_around(context, len(context.spec.passes) + _programs_after(context.spec) + 1, CUT_OUT, paths, task)
+    written = write_around(context, len(context.spec.passes) + context.spec.finish.witnessed + 1, CUT_OUT, paths, task)
     verdict = _check(context, written, task, top)
     depth_mm, diameter_mm = stock.thickness_mm + task.through_mm, 2 * task.radius_mm
     if depth_mm > _SLENDER * diameter_mm:
@@ -129,11 +128,6 @@ def run_cut_out(context: StageContext) -> None:
     context.report["around"] = {CUT_OUT: row_of(written, verdict, settings)}
 
 
-def _programs_after(spec: JobSpec) -> int:
-    """Return the number of programs between the passes and the cut-out."""
-    return int(spec.finish.witnessed)
-
-
 def checked_mill_of(machine: MachineProfile) -> CheckedMill:
     digits = post_of(machine).digits
     return CheckedMill(
@@ -145,12 +139,7 @@ def checked_mill_of(machine: MachineProfile) -> CheckedMill:
     )
 
 
-def simulate(
-    paths: Sequence[Path],
-    task: AroundTask,
-    job: ResolvedJob,
-    stock_top: StockGrid,
-) -> AroundCheck:
+def simulate(paths: Sequence[Path], task: AroundTask, job: ResolvedJob, stock_top: StockGrid) -> AroundCheck:
     """Read the programs back, one after the other, and simulate what they remove from stock_top."""
     stock, mill, texts = cam_stock_of(job.spec), checked_mill_of(job.machine), map(read_chunks, paths)
     if isinstance(task, Facing):

@@ -10,8 +10,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
+from cam.around.check import AroundCheck
 from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
-from cam.around.watch import AroundCheck
 from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.moves import Path as ToolPath
@@ -101,7 +101,7 @@ def run_pass(context: StageContext) -> None:
         context.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
-def require_millable(context: StageContext) -> None:
+def run_fit(context: StageContext) -> None:
     """Check everything about the tools of all programs and the travel that can be known before the first block."""
     heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     passes = cam_passes_of(context.spec)

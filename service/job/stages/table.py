@@ -150,7 +150,7 @@ _BEFORE = (
     ),
     Stage(
         name="fit",
-        function="service.job.stages.programs:require_millable",
+        function="service.job.stages.programs:run_fit",
         reads=("heightfield.npz",),
         spec=(
             *(*_BLOCK, *_UNDER_HEAD, "optics.min_radius_mm", "machine.travel_mm", "machine.safe_z_mm"),

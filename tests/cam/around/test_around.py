@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.around.check import check_cut_out, check_facing
+from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
 from cam.around.paths import (
     aperture_corners,
     find_highest_along,
@@ -20,7 +20,6 @@ from cam.around.paths import (
     segment_distances,
 )
 from cam.around.specs import CutOut, Facing
-from cam.around.watch import AroundCheck, CheckedMill
 from cam.cutters import CUTTERS, CutterShape
 from cam.errors import OutlineError, PassValueError, SafeHeightError
 from cam.moves import Path, cut, rapid

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.around.check import check_witness
+from cam.around.check import AroundCheck, check_witness
 from cam.around.paths import aperture_corners, make_witness_paths
 from cam.around.specs import WitnessCut
-from cam.around.watch import AroundCheck
 from cam.errors import PassValueError, SafeHeightError
 from cam.moves import Path
 from cam.passes import Clamp, Stock

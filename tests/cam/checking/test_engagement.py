@@ -38,7 +38,7 @@ def batch_of(points, feed=None) -> MoveBatch:
     )
 
 
-def watched(*passes, feed=None, top=None) -> Engagement:
+def watch(*passes, feed=None, top=None) -> Engagement:
     """Paths cut one after the other into a block 12 x 8 mm, flat unless its top is given; only the last is watched."""
     stock = StockGrid(x0_mm=0, y0_mm=0, cell_mm=CELL, top_mm=np.zeros((160, 240)) if top is None else top)
     grid = RemovalGrid(stock, radius_mm=SPEC.radius_mm, shares=2)
@@ -65,7 +65,7 @@ def test_the_section_of_a_slot_is_what_lies_over_the_underside(depth, radius, co
 
 
 def test_a_first_row_is_a_slot_and_the_next_is_none():
-    first, second = watched(row(4.0)), watched(row(4.0), row(4.3))
+    first, second = watch(row(4.0)), watch(row(4.0), row(4.3))
     assert first.slot_length_mm == pytest.approx(12.0)  # whole moves
     assert first.slot_depth_mm == pytest.approx(0.5, abs=1e-3)
     assert second.slot_length_mm == 0
@@ -75,24 +75,24 @@ def test_a_first_row_is_a_slot_and_the_next_is_none():
 @settings(deadline=None, max_examples=10)
 def test_a_row_climbs_with_the_stock_on_its_right(y, backward, upward):
     beside = y + (0.3 if upward else -0.3)
-    climbs = watched(row(y), row(beside, backward=backward)).climb_share
+    climbs = watch(row(y), row(beside, backward=backward)).climb_share
     assert (climbs > 0.9) is (backward is upward)
     assert climbs > 0.9 or climbs < 0.1
-    assert watched(row(y)).climb_share == pytest.approx(0.5, abs=0.05)
+    assert watch(row(y)).climb_share == pytest.approx(0.5, abs=0.05)
 
 
 def test_a_slot_at_full_feed_is_a_fault_and_at_half_feed_none():
-    assert watched(row(4.0), feed=0.5 * SPEC.feed_mm_per_min).faults == []
-    (fault,) = watched(row(4.0)).faults
+    assert watch(row(4.0), feed=0.5 * SPEC.feed_mm_per_min).faults == []
+    (fault,) = watch(row(4.0)).faults
     assert "full width" in fault and fault.startswith("line ")
-    assert watched(row(4.0, z=-0.2)).faults == []  # counted, but shallow
-    assert watched(row(4.0, z=-0.2)).slot_length_mm > 8
+    assert watch(row(4.0, z=-0.2)).faults == []  # counted, but shallow
+    assert watch(row(4.0, z=-0.2)).slot_length_mm > 8
 
 
 def test_a_slow_move_is_not_fast_for_the_end_of_a_fast_one_before_it():
     points = [(-3.0, 4.0, -0.5), (1.0, 4.0, -0.5), (1.0 + CELL, 4.0, -0.5), (12.0, 4.0, -0.5)]
     slow = 0.5 * SPEC.feed_mm_per_min
-    assert watched(points, feed=[slow, 2 * slow, slow]).faults == []
+    assert watch(points, feed=[slow, 2 * slow, slow]).faults == []
 
 
 @pytest.mark.parametrize(("ribs", "gaps", "faulty"), [(0.5, 1.0, False), (1.0, 0.1, True)])
@@ -101,20 +101,20 @@ def test_a_slot_is_as_fast_as_its_stock_is_cut(ribs, gaps, faulty):
     top = np.where(np.arange(240) % 8 < 5, 0.0, -1.0) + np.zeros((160, 1))  # 0.25 mm of stock, 0.15 mm of none
     x = np.sort(np.concatenate([8 * CELL * np.arange(30), 8 * CELL * np.arange(30) + 5 * CELL]))
     feeds = SPEC.feed_mm_per_min * np.resize([ribs, gaps], x.size - 1)
-    assert bool(watched([(one, 4.0, -0.5) for one in x], feed=feeds, top=top).faults) is faulty
+    assert bool(watch([(one, 4.0, -0.5) for one in x], feed=feeds, top=top).faults) is faulty
 
 
 def test_a_plunge_is_named_and_a_ramp_is_none():
     down = [(6, 4, 1), (6, 4, -0.4), (6, 4, 1)]
-    (fault,) = watched(down).faults
+    (fault,) = watch(down).faults
     assert re.search(r"straight down 0\.(399|400) mm", fault) and fault.startswith("line 1 at X6.000 Y4.000")
     ramp = [(4, 4, 1), (4, 4, 0.05), (8, 4, -0.15), (4, 4, -0.3), (8, 4, -0.45)]
-    assert watched(ramp, feed=SPEC.plunge_mm_per_min).faults == []
+    assert watch(ramp, feed=SPEC.plunge_mm_per_min).faults == []
 
 
 def test_flutes_must_be_as_long_as_the_bite():
-    assert watched(row(4.0)).flute_need_mm == pytest.approx(0.5, abs=1e-3)
-    deep = watched(row(4.0, -0.4), row(4.0, -0.8), row(4.05, -1.2))
+    assert watch(row(4.0)).flute_need_mm == pytest.approx(0.5, abs=1e-3)
+    deep = watch(row(4.0, -0.4), row(4.0, -0.8), row(4.05, -1.2))
     assert deep.flute_need_mm == pytest.approx(1.2, abs=0.05)  # along the wall up to the top
 
 

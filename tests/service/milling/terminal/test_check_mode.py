@@ -36,14 +36,20 @@ def in_check(bench: Bench) -> bool:
     return bench.mill.firmware.state == "Check"
 
 
-def answered(count: int) -> Any:
+def has_answers(count: int) -> Any:
     return lambda bench: bench.driver.progress.answered_line >= count
 
 
 @pytest.mark.parametrize("traits", [GRBL_11, GRBLHAL], ids=["grbl 1.1", "grblHAL"])
 @pytest.mark.parametrize(
     "comes",
-    [in_check, lambda bench: bench.driver.progress.streaming, answered(1), answered(700), answered(len(_LINES) - 12)],
+    [
+        in_check,
+        lambda bench: bench.driver.progress.streaming,
+        has_answers(1),
+        has_answers(700),
+        has_answers(len(_LINES) - 12),
+    ],
     ids=["the controller has taken $C", "the first lines are on their way", "one line", "700 lines", "the last lines"],
 )
 def test_an_interrupt_leaves_check_mode_and_an_idle_mill(traits: Traits, comes: Any) -> None:
