@@ -106,7 +106,8 @@ def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, f
             try:
                 folder_job.run(stage)
             except ServiceError as error:
-                if not (is_new and is_of_programs(stage)):
+                of_the_disk = isinstance(error.__cause__, OSError)
+                if not (is_new and is_of_programs(stage)) or of_the_disk:
                     raise
                 kept = LensKeptError(error, stage, output)
                 folder_job.keep_lens(lens, kept)

@@ -29,6 +29,9 @@ class Terminal:
     def __init__(self, *arguments: str, environment: dict[str, str] | None = None) -> None:
         self.master, slave = os.openpty()
         fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+        modes = termios.tcgetattr(slave)
+        modes[3] |= termios.NOFLSH  # else a Ctrl-C makes the kernel drop words that this process has not read yet
+        termios.tcsetattr(slave, termios.TCSANOW, modes)
 
         def controlling() -> None:
             os.setsid()

@@ -67,7 +67,8 @@ class HomeAssistant:
             return
         wanted = dict.fromkeys(self._shown, "") | dict(list_messages(machines))  # an empty message takes an entity away
         changed = [(topic, text) for topic, text in wanted.items() if self._shown.get(topic) != text]
-        self._pending = [self._client.publish(topic, text, retain=True) for topic, text in changed]
+        sent = [self._client.publish(topic, text, retain=True) for topic, text in changed]
+        self._pending = [one for one in sent if not one.rc]  # the others met a link that has just broken: see _is_new
         self._shown = dict(wanted)
 
 
