@@ -106,27 +106,33 @@ def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(modules: Page) -
     ]
 
 
-HEADLINES = """([optics, milled, foretold]) => import("/page/job/figures.js").then(({headlines}) =>
-    headlines({optics: {width_mm: 30, height_mm: 30}, image: {pixels: 64}}, {optics, as_milled: milled}, foretold)
+HEADLINES = """([optics, milled, foretold, finishing]) => import("/page/job/figures.js").then(({headlines}) =>
+    headlines({optics: {width_mm: 30, height_mm: 30}, image: {pixels: 64}}, {optics, as_milled: milled, finishing}, foretold)
     .filter(([what]) => what.startsWith("On the wall")))"""
 
 
 def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modules: Page) -> None:
     """So that nobody who was told of a poor picture reads for a while only of a good one."""
     designed, hard = {"seen_db": 22.0}, alike(8.0)
-    first, second = modules.evaluate(HEADLINES, [designed, None, 8.0])
+    first, second = modules.evaluate(HEADLINES, [designed, None, 8.0, {}])
     assert first == ["On the wall", hard, "as predicted; the last steps simulate it"]
     assert second[0] == "On the wall, if polished"
-    (only,) = modules.evaluate(HEADLINES, [designed, None, None])
+    (only,) = modules.evaluate(HEADLINES, [designed, None, None, {}])
     assert only[0] == "On the wall, if polished" and "as milled it may be less" in only[2]
-    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.0}, 20.0])[0] == ["On the wall, as milled", hard, ""]
+    assert modules.evaluate(HEADLINES, [designed, None, 8.0, None]) == [first], "nobody is to polish this lens"
+    assert modules.evaluate(HEADLINES, [designed, {"seen_db": 8.0}, 20.0, {}])[0] == [
+        "On the wall, as milled",
+        hard,
+        "",
+    ]
 
 
 def test_a_pass_in_words_says_nothing_that_is_not_known(modules: Page) -> None:
-    """The program of witness marks has no rows."""
+    """The program of witness marks has no rows, and says what it is for."""
     witness = {"name": "witness", "tool": "ball", "radius_mm": 3.0, "step_down_mm": 0.5, "feed_mm_per_min": 1000.0}
     script = "(row) => import('/page/job/figures.js').then(({passWords}) => passWords(row))"
-    assert modules.evaluate(script, witness).replace("\u00a0", " ") == "ball R 3 (Ø 6 mm)"
+    told = modules.evaluate(script, witness).replace("\u00a0", " ")
+    assert told.startswith("ball R 3 (Ø 6 mm), mills ripples beside the lens") and "every" not in told
     assert "every 0.1 mm at 1000 mm/min" in modules.evaluate(script, witness | {"pitch_mm": 0.1})
 
 

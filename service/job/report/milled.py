@@ -35,11 +35,11 @@ UNSEEN_DB = 40.0  # loss by blur of a picture without finer detail: not visible 
 _MOST_OF_IT = 0.7  # share of the loss by milling from which a single cause explains it
 
 
-def sentences_as_milled(milled: Mapping[str, Any]) -> list[Phrase]:
-    """Return sentences from report `as_milled`; empty if there is none."""
+def sentences_as_milled(milled: Mapping[str, Any], *, finished: bool) -> list[Phrase]:
+    """Return sentences from report `as_milled`; empty if there is none. finished: the lens is to be, by hand."""
     if milled.get("psnr_db") is None:
         return []
-    return [_describe_expectation(milled), *_main_cause(milled), _blur(milled)]
+    return [_describe_expectation(milled, finished=finished), *_main_cause(milled), _blur(milled)]
 
 
 def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
@@ -107,7 +107,7 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase |
     )
 
 
-def _describe_expectation(milled: Mapping[str, Any]) -> Phrase:
+def _describe_expectation(milled: Mapping[str, Any], *, finished: bool) -> Phrase:
     designed_db, milled_db = milled.get("psnr_db_designed"), milled["psnr_db"]
     given = milled.get("against_original") or milled  # a person compares with the one given
     told = Phrase(
@@ -123,6 +123,8 @@ def _describe_expectation(milled: Mapping[str, Any]) -> Phrase:
             told=told,
             psnr_db=designed_db,
         )
+    if not finished:
+        return told
     return Phrase(
         "{told} Polished until no groove is left ({psnr_db:.1f} dB): {seen}.",
         told=told,

@@ -129,7 +129,7 @@ def describe_setup(
         "facing_zero": explain_zero_before_facing(spec),
         "coarse": 0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
         "score_rows": score_rows(report),
-        "milled": sentences_as_milled(table(report.get("as_milled"))),
+        "milled": sentences_as_milled(table(report.get("as_milled")), finished=bool(report.get("finishing"))),
         "prepared": sentences_of_preparation(report),
         "lens_rows": lens_rows(report, spec),
         "throw": _throw(block, spec, passes, table(table(report.get("optics")).get("tolerances"))),

@@ -25,10 +25,19 @@ from service.job.spec.finish_library import (
 from service.job.spec.section import Section, none_or_from, shown, unknown_name
 
 NONE, BEST = "none", "best"
+_WHAT_IT_TAKES = (
+    "Takes the mill's marks off: an hour or two on a lens of 100 mm, minutes on a small one. The lens is made for it; "
+    "minutes and steps are on the sheet."
+)
 _PROCESSES = {
     NONE: "no: as the mill leaves it",
-    BEST: "yes, in the best way",
-    **{process.name: process.offered for process in built_in_processes().values() if process.offered},
+    **{
+        name: (words, _WHAT_IT_TAKES)
+        for name, words in [
+            (BEST, "yes, in the best way"),
+            *((process.name, process.offered) for process in built_in_processes().values() if process.offered),
+        ]
+    },
 }
 
 
@@ -48,7 +57,6 @@ class FinishSpec(Section):
         Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=40),
         shown(
             "Finished by hand",
-            "An hour or two takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet.",
             choices=_PROCESSES,
             card="main",
             wide=True,

@@ -7,7 +7,7 @@ import { capital, hours, jobName, mm, passName } from "../lib/words.js";
 import { alikeWords } from "./eye_words.js";
 import { likenessOf, millSeconds, passesOf, passWords, smallestDetail } from "./figures.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
-import { settingWords, valueWords } from "./setting_words.js";
+import { isExpert, settingWords, valueWords } from "./setting_words.js";
 
 export default async function view(root, params, app) {
   const ids = [params.id, params.id2];
@@ -54,23 +54,25 @@ const FIGURES = [
   [t("Depth of the lens"), mm, 0, ({ report }) => report?.optics?.relief_mm],
 ];
 
-/** The figures and settings that differ, a table of each; the keys of passes, which a line says in words, behind a fold. */
+const SAID = "finish.minutes"; // by a figure
+
+/** The figures and settings that differ, in a table; those for experts, and the keys of passes, which a line says in words, behind a fold. */
 function differing(sides, names) {
   const jobs = sides.map(({ job }) => job), passes = jobs.map(passesOf);
   const figures = FIGURES.map((figure) => figureRow(figure, jobs)).filter(Boolean);
   const named = jobs.find((job) => passesOf(job).length) ?? jobs[0], spec = { ...named.spec, passes: passesOf(named) };
   const line = ([key, ...values]) => row(capital(settingWords(key, spec)), values.map((value) => valueWords(key, value)));
   const seen = ([key, here, there]) => valueWords(key, here) !== valueWords(key, there);
-  const all = differences(...jobs.map(specOf)).filter(seen), ofPasses = all.filter(([key]) => key.startsWith("passes."));
+  const all = differences(...jobs.map(specOf)).filter(([key, ...values]) => key !== SAID && seen([key, ...values])), forExperts = all.filter(([key]) => isExpert(key));
   const most = Math.max(...passes.map(({ length }) => length));
   const inWords = Array.from({ length: most }, (_, k) => {
     const each = passes.map((list) => list[k]), texts = each.map((pass) => (pass ? passWords(pass) : "–"));
     return texts[0] !== texts[1] && row(t`Pass ${k + 1} (${passName(each.find(Boolean).name)})`, texts);
   });
-  const rows = [...figures, ...all.filter((one) => !ofPasses.includes(one)).map(line), ...inWords].filter(Boolean);
+  const rows = [...figures, ...all.filter((one) => !forExperts.includes(one)).map(line), ...inWords].filter(Boolean);
   return [
-    rows.length > 0 || ofPasses.length > 0 ? table(names, rows) : h("p", {}, t("Nothing: both were made with the same settings.")),
-    ofPasses.length > 0 && h("details", {}, h("summary", {}, t("Every setting of the passes that differs")), table(names, ofPasses.map(line))),
+    rows.length > 0 || forExperts.length > 0 ? table(names, rows) : h("p", {}, t("Nothing: both were made with the same settings.")),
+    forExperts.length > 0 && h("details", {}, h("summary", {}, t("Every setting that differs")), table(names, forExperts.map(line))),
   ].filter(Boolean);
 }
 

@@ -1,13 +1,12 @@
 /** The light on the wall, large: while the lens is made, the picture of it that is there; then the next steps, the finished ones ticked. */
-import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { isCut, isGoing, mark } from "../lib/state.js";
+import { isGoing, mark } from "../lib/state.js";
 import { capital, hours, within } from "../lib/words.js";
 import { eyeWords, isFine, isHard } from "./eye_words.js";
 import { unfold } from "./fold.js";
 import { likenessOf, millSeconds } from "./figures.js";
-import { knownMills, sendLink } from "./files.js";
+import { knownMills, sendLink, unmilledOf } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink, sheetOf } from "./save.js";
 import { mills } from "../machine/mills.js";
@@ -36,10 +35,8 @@ export function endingPart() {
     replace(next, isMade ? words(job, artifacts, job.programs, []) : makingWords(job, seen));
     const loaded = seen && shelf.get(artifacts.get(seen.name)).then((url) => key === shown && (picture.src = url), () => {});
     if (!isMade) return;
-    const toMill = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => unmilledOf(job, runs), () => job.programs);
-    const known = knownMills();
-    await loaded;
-    replace(next, words(job, artifacts, await toMill, await known));
+    const [toMill, known] = await Promise.all([unmilledOf(job), knownMills(), loaded]);
+    replace(next, words(job, artifacts, toMill, known));
   }
   return { node, update, free: shelf.free };
 }
@@ -54,12 +51,6 @@ function makingWords(job, seen) {
   const now = seen && (seen.name === ASKED ? t("the picture as asked for: its light is not worked out yet") : t`On the wall, ${within(seen.title)}`);
   const ready = free.length > 0 && h("p", {}, h("a", { class: "button", href: to }, t("Get the mill ready meanwhile")));
   return [h("h2", { id: "ending-title" }, t("Your lens is being made")), now && h("p", { class: "dim" }, capital(now), "."), ready];
-}
-
-/** A job's programs that no mill has finished. */
-function unmilledOf(job, runs) {
-  const done = new Set(runs.filter(isCut).map(({ program }) => program.number));
-  return job.programs.filter(({ number }) => !done.has(number));
 }
 
 function words(job, artifacts, toMill, mills) {

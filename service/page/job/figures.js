@@ -71,7 +71,7 @@ export function headlines(spec, report, predicted) {
   if (seconds !== null) found.push([t("On the mill"), hours(seconds), known]);
   else if (report?.plan?.hours) found.push([t("On the mill"), hours(report.plan.hours * 3600), t("as planned")]);
   if (detail !== null) found.push([t("Sharpness"), t`details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), predicted));
+  found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), predicted, report?.finishing));
   if (report?.optics?.relief_mm !== undefined) {
     const steep = t`steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
     found.push([t("Depth of the lens"), mm(report.optics.relief_mm), steep]);
@@ -87,10 +87,10 @@ function seenByHand(report) {
   return [[t("On the wall, as finished"), alikeWords(seen), t("after the work by hand below")], ...before];
 }
 
-/** The likeness on the wall; a lens sharpened for the marks of its tool shows less without them. */
-function onTheWall(milled, polished, predicted) {
+/** The likeness on the wall, of a lens that will be finished by hand without the marks, too; one sharpened for the marks of its tool shows less without them. */
+function onTheWall(milled, polished, predicted, finishing) {
   const seen = milled ?? predicted ?? null, how = milled === undefined ? t("as predicted; the last steps simulate it") : "";
-  const shown = polished === undefined ? [] : [[t("On the wall, if polished"), alikeWords(polished)]];
+  const shown = polished === undefined || !finishing ? [] : [[t("On the wall, if polished"), alikeWords(polished)]];
   if (seen === null) return shown.map((row) => [...row, t("as milled it may be less; the last steps show how much")]);
   if (polished < seen) return [[t("On the wall"), alikeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
   return [[milled === undefined ? t("On the wall") : t("On the wall, as milled"), alikeWords(seen), how], ...shown];
@@ -167,7 +167,7 @@ export function passWords(row) {
   if ("above_mm" in row) return t`${TOOLS[row.tool] ?? row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
   if ("tabs" in row) return cutOutWords(ball(row.radius_mm), row.tabs);
   const tool = toolWords(row);
-  if (!row.pitch_mm) return tool; // witness marks
+  if (!row.pitch_mm) return t`${tool}, mills ripples beside the lens: each is gone at a known minute of the work by hand`;
   const rows = t`rows along ${String(row.direction ?? "x").toUpperCase()}`;
   const ways = row.strategy === "contour" ? t("one path along contour lines") : rows;
   const only = row.where === "rest" ? t(", only where stock is left") : "";

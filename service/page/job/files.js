@@ -2,7 +2,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, svg, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { isGoing, mayBeMilled } from "../lib/state.js";
+import { isCut, isGoing, mark, mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf, programRows } from "./figures.js";
 import { fold } from "./fold.js";
@@ -41,7 +41,8 @@ export function programsPart() {
     shown = key;
     if (mayBeMilled(job) && !mills) mills = await knownMills();
     noMill.hidden = !mayBeMilled(job) || mills.length > 0;
-    replace(list, job.programs.map((program) => row(job, program, mills ?? [])));
+    const left = await unmilledOf(job);
+    if (key === shown) replace(list, job.programs.map((program) => row(job, program, mills ?? [], left)));
   }
   return { node, update };
 }
@@ -66,19 +67,26 @@ export async function knownMills() {
   }
 }
 
-function row(job, program, mills) {
+/** A job's programs that no mill has finished; all of them, where that is not known. */
+export async function unmilledOf(job) {
+  if (!mayBeMilled(job)) return job.programs;
+  const { runs } = await api.get(`/v1/runs?job=${job.id}`).catch(() => ({ runs: [] })), done = new Set(runs.filter(isCut).map(({ program }) => program.number));
+  return job.programs.filter(({ number }) => !done.has(number));
+}
+
+function row(job, program, mills, left) {
   const checked = programRows(job.report).find(({ file }) => file === program.name);
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
   const size = [lines && t`${thousands(lines)} lines`, bytes(program.bytes)].filter(Boolean).join(", ");
-  const alone = mills.length === 1, first = program === job.programs[0];
+  const alone = mills.length === 1, first = program === left[0];
   const sends = mayBeMilled(job) && mills.map((mill, k) => sendLink(job, program, mill, { alone, first: first && k === 0 }));
   const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save"), plain: true });
   return h(
     "li", {},
     cutterShape(pass),
     h("div", { class: "program-what" }, h("strong", {}, program.name), pass && h("span", {}, passWords(pass)), h("small", { class: "dim" }, size)),
-    h("strong", { class: "program-time" }, seconds ? hours(seconds) : ""),
+    h("div", { class: "program-time" }, h("strong", {}, seconds ? hours(seconds) : ""), !left.includes(program) && mark("good", t("milled"))),
     h("div", { class: "row" }, sends, save),
   );
 }

@@ -22,6 +22,11 @@ export function valueWords(key, value) {
   return row?.unit ? `${text} ${row.unit}` : text;
 }
 
+/** Whether the form of a new job has its key only among those for experts. */
+export function isExpert(key) {
+  return !rowOf(key)?.card;
+}
+
 function rowOf(key) {
   const { pass, own } = splitKey(key);
   return (pass === null ? SPEC : PASS).find((row) => row.key === own);

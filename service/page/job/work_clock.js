@@ -45,7 +45,7 @@ export function workClock(job, minutes) {
   const bar = h("progress", { max: whole_s, "aria-label": t("Work by hand so far") });
   const go = h("button", { type: "button", onclick: () => turn() });
   const anew = h("button", { type: "button", onclick: () => change(NEW) }, t("From the beginning"));
-  const node = h("div", { class: "work-clock" }, h("div", { class: "row spread" }, left, about), bar, h("div", { class: "row" }, go, anew));
+  const node = h("div", { class: "work-clock" }, h("div", { class: "row spread" }, left, h("div", { class: "row" }, anew, go)), bar, about);
   const timer = setInterval(() => (node.isConnected ? show() : clearInterval(timer)), EVERY_MS);
 
   function turn() {

@@ -101,8 +101,8 @@ export function loadCard(link, chosen) {
     listed = id;
     const wanted = findWanted();
     const meant = id === wanted.job && job.programs.find((one) => isProgram(one, wanted.program));
-    const first = meant || (job.programs.find((one) => !done.has(one.sha256)) ?? job.programs[0]);
-    replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? t`${one.name} (done on this mill)` : one.name)));
+    const first = meant || job.programs.find((one) => !done.has(one.sha256));
+    replace(passes, !first && h("option", { value: "", selected: true }, t("all are done")), job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? t`${one.name} (done on this mill)` : one.name)));
     link.changed();
   }
 

@@ -126,8 +126,9 @@ export class MillLink {
     try {
       const list = async (limit) => (await api.get(`/v1/runs?machine=${encodeURIComponent(this.name)}&limit=${limit}`)).runs;
       const run = id ? await api.get(`/v1/runs/${id}`) : ((await list(1))[0] ?? null);
-      const before = run?.state === "parked" ? (await list(LOOKED_BACK)).find((one) => one.started_at && one.id !== run.id && !isDry(one)) : null;
-      [this.run, this.before] = [run, before ?? null];
+      const past = run?.state === "parked" ? (await list(LOOKED_BACK)).filter((one) => one.started_at && one.id !== run.id) : [];
+      const isSame = ({ job, program }) => job === run.job && program.number === run.program.number;
+      [this.run, this.before, this.isTried] = [run, past.find((one) => !isDry(one)) ?? null, past.some(isSame)];
     } catch {
       // asked again with the next status
     } finally {

@@ -27,16 +27,16 @@ const NAME = 28; // letters of a job's name
 /**
  * {step, kind, words, trouble, act, go, bars}: words of the step; trouble: what is wrong, where something is; act:
  * the order of its button, or `press`: the button of a card that it stands for; other: the other answer where it asks; go: the card that it is done in; bars: why no program may start or go on before it is done,
- * "" if one may. load: the `facts` of the card "Load a program", ticked: all of the list, named: by whom.
+ * "" if one may. load: the `facts` of the card "Load a program", ticked: all of the list, named: by whom, byHand: a hand finishes the milled lens.
  */
-export function findNextStep(link, { load = {}, ticked = false, named = true } = {}) {
+export function findNextStep(link, { load = {}, ticked = false, named = true, byHand = false } = {}) {
   const trouble = troubleOf(link);
   const standsStill = trouble && !["home", "recover"].includes(trouble.step);
   if (!link.machine && !trouble) return makeStep("wait", t("Asking the server."), { whole: true });
   if (standsStill) return { ...makeStep("trouble", trouble.next, { kind: trouble.kind }), trouble };
   if (hasLiveRun(link.machine)) return findRunningStep(link);
   if (!link.mine) return { ...findControlStep(link), ...(trouble && { kind: trouble.kind }), trouble };
-  return { ...findStandingStep(link, trouble, load, { ticked, named }), trouble };
+  return { ...findStandingStep(link, trouble, load, { ticked, named, byHand }), trouble };
 }
 
 function makeStep(step, words, more = {}) {
@@ -95,9 +95,9 @@ function findHomeStep({ mill, profile }) {
 }
 
 /** The program comes first: it determines the tool and the block for the zero. */
-function findSetupStep(link, load, { ticked, named }) {
+function findSetupStep(link, load, { ticked, named, byHand }) {
   const { machine, run, before } = link;
-  if (!run?.open) return findLoadStep(run, load);
+  if (!run?.open) return findLoadStep(run, load, byHand);
   if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
   if (run.state !== "parked") return makeStep("wait", t("see what is said of the program."), { go: "program" });
   const doubt = run.travel_in_doubt && isZeroSet(machine, run, before) && { words: ticked || isDry(run) ? IN_DOUBT_TICKED[isDry(run)] : IN_DOUBT, kind: "warn", whole: true };
@@ -151,12 +151,12 @@ function findTopStep(machine, before) {
   return makeStep("zero", t`${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
-function findLoadStep(run, { ready, jobs, atWork, preset }) {
+function findLoadStep(run, { ready, jobs, atWork, preset }, byHand) {
   const none = ready && !jobs;
   if (atWork && !preset?.meant) return makeStep("wait", t`wait for the running job (${atWork} is done), then load its program here. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
-  if (run && isCut(run) && !run.next) return makeStep("done", doneWords(run), { go: "program" });
+  if (run && isCut(run) && !run.next) return makeStep("done", doneWords(run, byHand), { go: "program" });
   return preset ? makeStep("load", loadWords(run, preset), { act: LOAD }) : makeStep("load", t("load a program."), { go: "load" });
 }
 
@@ -172,7 +172,8 @@ function cutName(name) {
   return whole.length > NAME ? `${whole.slice(0, NAME - 1)}…` : whole;
 }
 
-function doneWords({ job_name: name }) {
+function doneWords({ job_name: name }, byHand) {
+  if (byHand) return t("take the lens out and finish it by hand.");
   return name ? t`the lens of ${cutName(name)} is milled: take it out, or load another program.` : t("the lens is milled: take it out, or load another program.");
 }
 

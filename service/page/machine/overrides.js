@@ -2,6 +2,7 @@
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { isDry } from "../lib/state.js";
 import { enable, refusalLine } from "./order_controls.js";
 import { whyNot } from "./words.js";
 
@@ -16,12 +17,14 @@ export function overrides(link) {
   const words = refusalLine();
   const set = (what, percent) => words.run(() => link.order("override", { what, percent }));
   const rows = ROWS.map(([what, label, place, range]) => row(what, label, range, set, () => link.machine?.mill?.overrides?.[place] ?? 100));
+  const spindle = rows[1]; // which stays off in a dry pass
   const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, t("Overrides, %")), rows.map((one) => one.node), words.node);
   return {
     node,
     update() {
       const why = whyNot(link, STATES, { besideRun: true });
       for (const one of rows) one.update(why === "" && !link.busy);
+      spindle.node.hidden = Boolean(link.run) && isDry(link.run);
     },
   };
 }

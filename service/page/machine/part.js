@@ -51,7 +51,7 @@ export function part(link) {
     const scale = fitScale(canvas, scene);
     if (!scale) return;
     const { run, machine } = link;
-    sketch.draw(canvas, scale, scene, { line: run?.executed_line ?? 0, whole: run?.state === "finished" });
+    sketch.draw(canvas, scale, scene, run && !isDry(run) ? { line: run.executed_line, whole: run.state === "finished" } : { line: 0 });
     drawTool(canvas, scale, scene, machine?.mill);
   }
 
@@ -63,7 +63,8 @@ export function part(link) {
       if (node.hidden) return;
       if (run.id !== shown) prepare(run);
       const [x, y, z] = machine?.mill?.work_mm ?? [];
-      write(where, Number.isFinite(x) ? t`Tool at X ${coordinate(x, 2)}, Y ${coordinate(y, 2)}, Z ${coordinate(z, 2)} mm` : t("The position of the tool is unknown."));
+      const at = Number.isFinite(x) ? t`Tool at X ${coordinate(x, 2)}, Y ${coordinate(y, 2)}, Z ${coordinate(z, 2)} mm` : t("The position of the tool is unknown.");
+      write(where, isDry(run) ? t`${at}; nothing is cut` : at);
       draw();
     },
     close() {

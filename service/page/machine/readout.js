@@ -37,12 +37,14 @@ export function readout(link) {
         write(own[k], coordinate(mill?.machine_mm?.[k]));
       });
       const { feed_mm_per_min: feed, buffer_share: buffer } = mill ?? {};
-      pace.feed.say(Number.isFinite(feed) ? `${thousands(Math.round(feed))} mm/min` : "–");
       pace.buffer.say(Number.isFinite(buffer) ? `${Math.round(100 * buffer)} %` : "–");
       pace.spindle.say(spindleWords(mill));
       pace.buffer.node.hidden = !live || !Number.isFinite(buffer);
       if (link.machine !== seen) for (const [one, value] of [[pace.feed, feed], [pace.buffer, buffer]]) one.plot(live && known ? value : null);
       seen = link.machine;
+      const isCutting = live && known && link.machine.run.state === "running" && ["run", "idle"].includes(mill.state);
+      const shown = isCutting ? pace.feed.mean() : feed;
+      pace.feed.say(Number.isFinite(shown) ? `${thousands(Math.round(shown))} mm/min` : "–");
       write(trust, !mill ? "" : !known ? t("Last known. Look at the mill.") : mill.position_trusted ? "" : t("The position of the mill is not certain."));
     },
   };
@@ -56,6 +58,7 @@ function item(name, most) {
     node: h("div", {}, h("dt", {}, name), value, line?.node),
     say: (words) => write(value, words),
     plot: (number) => line.add(number),
+    mean: () => line.mean(),
   };
 }
 
@@ -67,9 +70,13 @@ function spindleWords(mill) {
 }
 
 const SPAN_MS = 60_000;
+const MEAN = 8; // reports
 const [WIDE, HIGH] = [120, 28];
 
-/** {node, add(value)}; most: the top of the plot, 0: the most that was seen. null ends it: it is not shown then. */
+/**
+ * {node, add(value), mean()}; most: the top of the plot, 0: the most that was seen. null ends it: it is not shown then. mean: of
+ * the last reports, for between two short lines a mill may stand for a moment, a fast simulated one every second time.
+ */
 export function sparkline(name, most) {
   const line = svg("polyline", { points: "" });
   const drawn = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", role: "img", "aria-label": t`${name} in the last minute` }, line);
@@ -77,6 +84,7 @@ export function sparkline(name, most) {
   let points = []; // {at, value}
   return {
     node,
+    mean: () => points.slice(-MEAN).reduce((sum, one) => sum + one.value, 0) / Math.min(MEAN, points.length),
     add(value) {
       const at = performance.now();
       points = Number.isFinite(value) ? [...points.filter((one) => at - one.at < SPAN_MS), { at, value }] : [];

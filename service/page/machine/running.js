@@ -12,7 +12,7 @@ import { notifySwitch } from "./notify.js";
 import { enable, guardedButton, refusalLine } from "./order_controls.js";
 import { RUN_STATES, describe } from "./sentences.js";
 import { isZeroKnown, isZeroSet } from "./place.js";
-import { leftWords, programWords, runStanding, whyNot } from "./words.js";
+import { leftWords, programWords, runStanding, secondsLeft, whyNot } from "./words.js";
 
 export function runCard(link) {
   const words = refusalLine();
@@ -36,6 +36,8 @@ export function runCard(link) {
     }
   }
 
+  let byHand = ""; // the run after which a hand finishes the lens
+  const isByHand = (run) => ((byHand = run.id), link.changed());
   let zeroed = ""; // the run that every zero was set for: what is said of it then stays, and Start keeps its place
   const isZeroed = (run) => {
     if (!link.machine?.mill || isZeroSet(link.machine, run, link.before)) zeroed = run.id;
@@ -45,7 +47,7 @@ export function runCard(link) {
     const parked = run.state === "parked";
     list = parked ? checklist(run, { label: isDry(run) ? t`Start the dry pass of ${run.program.name}` : t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
     frame = parked ? frameButton(link, words) : null;
-    replace(more, dryNote(run), notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, isCut(run) && !run.next && afterLast(run));
+    replace(more, dryNote(run), notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, frame, words) : words.node, parked && !isDry(run) && !link.isTried && h("p", { class: "dim" }, t("A first run? Take it off the mill and load it as a dry pass: it shows the way and cuts nothing.")), isCut(run) && !run.next && afterLast(run, isByHand));
   };
   return {
     node,
@@ -57,6 +59,9 @@ export function runCard(link) {
     },
     get button() {
       return list?.button;
+    },
+    get byHand() {
+      return byHand !== "" && byHand === link.run?.id;
     },
     update(nextStep) {
       const { run } = link;
@@ -106,7 +111,6 @@ function meter() {
   return {
     node,
     update(run, simulated) {
-      node.hidden = run.state === "preparing" || run.state === "refused";
       const isParked = run.state === "parked";
       bar.hidden = live.hidden = isParked || run.state === "finished";
       write(share, isParked ? "" : percent(run.share));
@@ -116,7 +120,8 @@ function meter() {
       write(left, isOver ? "" : leftWords(run, simulated));
       write(when, isOver ? "" : runTimeWords(run, Date.now(), simulated));
       if (run.job !== job) learn(run.job);
-      const all = findWholeJob(passes, run);
+      const all = findWholeJob(passes, run, simulated), isAll = isCut(run) && !run.next && !all?.left_s; // the work by hand is said in its place
+      node.hidden = isAll || run.state === "preparing" || run.state === "refused";
       write(whole, wholeJobWords(all));
       wholeBar.hidden = !all;
       wholeBar.value = all?.share ?? 0;
@@ -124,14 +129,15 @@ function meter() {
   };
 }
 
-/** After the last pass: what is left to do by hand, with its clock. */
-function afterLast(run) {
+/** After the last pass: what is left to do by hand, with its clock; isByHand(run): there is something. */
+function afterLast(run, isByHand) {
   const node = h("div", { class: "stack by-hand" }, h("p", {}, t("That was the last pass: the lens is milled.")));
   const show = ({ report }) => {
     const { title, minutes, steps } = report?.finishing ?? {};
     if (!(minutes > 0)) return;
     const how = steps.length > 0 && h("a", { href: `#/jobs/${run.job}?show=finishing` }, t("How it is done"));
-    node.append(h("h3", {}, t`Now by hand: ${title}`), workClock(run.job, minutes).node, ...(how ? [how] : []));
+    replace(node, h("h3", {}, t`Now by hand: ${title}`), workClock(run.job, minutes).node, how);
+    isByHand(run);
   };
   api.get(`/v1/jobs/${run.job}`).then(show, () => {}); // without it there is still the run itself
   return node;
@@ -153,11 +159,11 @@ function notes(run, zeroed) {
 }
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
-function warningsNode({ warnings = [], travel_in_doubt: travel }, zeroed) {
+function warningsNode({ warnings = [], travel_in_doubt: travel, state }, zeroed) {
   if (!zeroed && (travel || !warnings.length)) return h("p", { class: "warned dim" }, t("Whether it fits the travel is known once X, Y and Z are set."));
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), t("No warnings"));
   const words = travel ? t("It may not fit the travel") : warnings.length === 1 ? t`${warnings.length} warning` : t`${warnings.length} warnings`;
-  return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text).replaceAll(/(?<!\w)-(?=\d)/g, "−")))));
+  return h("details", { class: "warned warn", open: travel && state === "parked" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text).replaceAll(/(?<!\w)-(?=\d)/g, "−")))));
 }
 
 /** What becomes of the spindle in a hold, and without the computer: to be known before one walks away. */
@@ -205,7 +211,7 @@ function clock(now_ms, left_s) {
  * {number, count, share, left_s} of a job with several programs, by their time; null without that, and in a dry pass.
  * passes: {file, time_s} in order, as the job's report has them.
  */
-export function findWholeJob(passes, run) {
+export function findWholeJob(passes, run, simulated) {
   const here = passes.findIndex(({ file }) => file === run.program.name);
   if (here < 0 || passes.length < 2 || isDry(run)) return null;
   const here_s = run.time_s || passes[here].time_s; // as the mill counts it, like what is left
@@ -214,14 +220,15 @@ export function findWholeJob(passes, run) {
   const leftOut = new Set(run.left_out.map(({ name }) => name));
   const isLeft = ({ file }, k) => k > here || (k < here && leftOut.has(file));
   const others_s = passes.filter(isLeft).reduce((sum, one) => sum + one.time_s, 0);
-  const left_s = others_s + here_s * leftOf(run);
+  const left_s = others_s + here_s * leftOf(run, simulated);
   return { number: here + 1, count: passes.length, share: 1 - left_s / total_s, left_s };
 }
 
 /** The part of this run that is left, by time, 0 to 1. */
-function leftOf({ state, time_s, time_left_s, share }) {
-  if (state === "finished") return 0;
-  return time_s > 0 && Number.isFinite(time_left_s) ? Math.min(1, time_left_s / time_s) : 1 - share;
+function leftOf(run, simulated) {
+  if (run.state === "finished") return 0;
+  const left_s = secondsLeft(run, simulated);
+  return run.time_s > 0 && Number.isFinite(left_s) ? Math.min(1, left_s / run.time_s) : 1 - run.share;
 }
 
 export function wholeJobWords(whole) {

@@ -36,7 +36,7 @@ export default async function view(root, params, app) {
   const turned = turning(screen);
   link.onChange(() => {
     parts.load.follow();
-    const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked, named: parts.program.named });
+    const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked, named: parts.program.named, byHand: parts.program.byHand });
     for (const one of Object.values(parts)) one.update(nextStep); // the line last: it presses buttons of the cards
     arrange(link, parts);
     turned(link);
@@ -72,7 +72,7 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
       "div",
       { class: "machine-columns" },
       h("div", { class: "left" }, stack("tool", jog), stack("zero", setup, zero)),
-      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), stack("watched", overrides, seen), load.node), stack("beside", terminal, film, given, past)),
+      h("div", { class: "right" }, stack("work", recover, program, seen, part, overrides, load), stack("beside", terminal, film, given, past)),
     ),
     stops.node,
   );

@@ -53,9 +53,15 @@ export function programWords(program, job) {
   return job ? t`${program} of ${jobName({ name: job })}` : program;
 }
 
-/** The time that a run has left; "" if it is not known. */
+/** The seconds that a run has left, null if that is not known. A simulated mill may be many times as fast: those of a real one. */
+export function secondsLeft({ time_s, time_left_s: left_s, share }, simulated) {
+  return simulated && Number.isFinite(left_s) ? time_s * (1 - share) : left_s;
+}
+
+/** The same in words; "" if it is not known. */
 export function leftWords(run, simulated) {
-  return Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
+  const left_s = secondsLeft(run, simulated);
+  return Number.isFinite(left_s) ? t`${hours(left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
 }
 
 /** The address of a mill's own screen. */

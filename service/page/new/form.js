@@ -17,7 +17,8 @@ const OTHERS = {
 };
 const OWN = ["machine.profile", "stock.thickness_mm", "finish.process"];
 const ONE_OPEN = "causticmill-settings"; // of folds of one name one is open
-const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
+const GREYED = ["main", "mill"]; // cards whose rows stay in their places
+const PLANNED_ONLY = t("Only “Recommended” can keep to that.");
 
 /**
  * {own, main, picture: elements, own of what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
@@ -29,14 +30,14 @@ export function specForm({ profiles, onChange, planned, last }) {
     reveal();
     onChange();
   };
-  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: () => (keepShape(field.key), keepFinish(field.key), changed()) }));
+  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: () => (keepShape(field.key), changed()) }));
   const groups = { main: make(MAIN), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
   const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
   const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
   const milling = passes({ onChange: changed, known: planned });
   const rest = row(OTHERS, { onChange: changed });
-  const [width, height] = ["width", "height"].map((side) => rows.find(({ key }) => key === `optics.${side}_mm`));
-  const shape = { ratio: 1, byHand: false, finish: START.finish.process }; // finish: as the way of planning has it
+  const [width, height, finish] = ["optics.width_mm", "optics.height_mm", "finish.process"].map((wanted) => rows.find(({ key }) => key === wanted));
+  const shape = { ratio: 1, byHand: false, wasBest: false }; // wasBest: the finish, until nobody was there to choose it
 
   /** The height follows the width as long as nobody has set it. */
   function keepShape(changedKey) {
@@ -47,21 +48,23 @@ export function specForm({ profiles, onChange, planned, last }) {
     height.blame("");
   }
 
-  /** Only the planner can choose a finish. */
-  function keepFinish(changedKey) {
-    const [preset, finish] = ["preset", "finish.process"].map((key) => rows.find((one) => one.key === key));
-    if (changedKey !== preset.key || (finish.read() ?? "none") !== shape.finish) return;
-    shape.finish = preset.read() === START.preset ? START.finish.process : "none";
-    finish.show(shape.finish);
+  /** Only the planner can choose a finish, and it plans no passes that a person has given. */
+  function keepFinish({ preset, passes }) {
+    const isPlanned = preset === START.preset && !passes, now = finish.read(), best = START.finish.process;
+    if (!isPlanned && now === best) finish.show();
+    if (isPlanned && now === undefined && shape.wasBest) finish.show(best);
+    shape.wasBest = !isPlanned && (now === best || (now === undefined && shape.wasBest));
+    finish.offer(best, isPlanned);
   }
 
-  /** Show a row only while it has a meaning, or grey it if it is a main choice; give a start value to a row that appears empty and needs one. */
+  /** Show a row only while it has a meaning, or grey it; give a start value to a row that appears empty and needs one. */
   function reveal() {
+    keepFinish(read().spec);
     const { spec } = read();
     for (const one of rows.filter(({ field }) => field.when)) {
       const there = one.field.when(spec);
       if (there && one.element.hidden && one.field.start && safely(one.read) === undefined) one.show(one.field.start);
-      if (one.field.card === "main") one.disable(there ? "" : PLANNED_ONLY);
+      if (GREYED.includes(one.field.card)) one.disable(there ? "" : PLANNED_ONLY);
       else one.element.hidden = !there;
     }
     settings.update(spec);
@@ -97,6 +100,7 @@ export function specForm({ profiles, onChange, planned, last }) {
     milling.show(left.passes?.length ? left.passes : null);
     delete left.passes;
     rest.show(Object.keys(left).length ? left : undefined);
+    shape.wasBest = false;
     shape.ratio = (safely(width.read) > 0 && safely(height.read) / width.read()) || 1;
     reveal();
   }

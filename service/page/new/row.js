@@ -5,7 +5,7 @@ import { t } from "../lib/language.js";
 import { isTable, numberOf } from "./spec.js";
 
 /**
- * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}.
+ * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}; a select has offer(value, on), too.
  * read() gives the value, undefined if the usual counts; TypeError, with words for the person, if it is not a value.
  * show(undefined) shows the usual. onChange() is called on every change a person makes.
  */
@@ -45,7 +45,7 @@ export function row(field, { onChange, key = field.key }) {
     for (const control of input.controls) Object.assign(control, { disabled: why !== "", title: why || field.limits });
   }
 
-  return { element, key, field, read: input.read, show: input.show, blame, disable, focus: () => input.controls[0].focus() };
+  return { element, key, field, read: input.read, show: input.show, offer: input.offer, blame, disable, focus: () => input.controls[0].focus() };
 }
 
 /** The value of a row; what cannot be read goes to faults as {row, words}. */
@@ -191,11 +191,11 @@ function oneTick(field, { ids, described, onChange }) {
 
 function select(field, { described, onChange }) {
   const id = freshId("input");
-  const values = field.choices.map(([value]) => value);
+  const values = field.choices.map(([value]) => value), options = field.choices.map(([, words], at) => h("option", { value: String(at) }, words));
   const input = h(
     "select",
     { id, "aria-describedby": described, onchange: onChange },
-    grouped(field.choices.map(([, words, , group], at) => [group, h("option", { value: String(at) }, words)])),
+    grouped(field.choices.map(([, , , group], at) => [group, options[at]])),
   );
   const more = h("small");
   const showWords = () => write(more, field.choices[Number(input.value)]?.[2] ?? "");
@@ -208,8 +208,9 @@ function select(field, { described, onChange }) {
     const value = values[Number(input.value)];
     return value === field.usual ? undefined : value;
   };
+  const offer = (value, on) => (options[values.indexOf(value)].hidden = !on);
   show(undefined);
-  return { id, element: h("div", { class: "chosen" }, input, more), controls: [input], read, show };
+  return { id, element: h("div", { class: "chosen" }, input, more), controls: [input], read, show, offer };
 }
 
 /** Options under the names of their groups, where they have any. */

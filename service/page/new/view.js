@@ -117,7 +117,9 @@ function newJob(profiles, app, withMills) {
   );
 
   function changed() {
-    now.refused = []; // the form differs from what was sent
+    const wasRefused = now.problems.length + now.refused.length > 0; // what was refused is not what the form holds now
+    Object.assign(now, { problems: now.problems.filter(({ field }) => field === "image"), refused: [] });
+    if (wasRefused) showProblems();
     now.forMore = false;
     side.forget();
     plans.forget();
