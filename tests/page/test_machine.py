@@ -15,7 +15,7 @@ from playwright.sync_api import Page, Route, expect
 from service.job.spec.finish_library import built_in_processes, instruct_finishing
 from tests.levels import mostly_thorough
 from tests.page import canned_job
-from tests.page.browser import Scheme, layout_faults, open_blank, serious_faults
+from tests.page.browser import SIZES, Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import RUN, STATES, USED, machine_in, told, with_control
@@ -50,9 +50,9 @@ def test_a_server_that_has_lost_the_mill_does_not_know_who_has_control(opened: O
 
 @pytest.mark.thorough
 def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened: Opened) -> None:
-    """A simulated one may be many times as fast."""
+    """A simulated one may be many times as fast; what it has left is then no scale of what it has taken so far."""
     page = open_blank(opened, "machine")
-    for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left on a real mill")):
+    for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 11 min left on a real mill")):
         told(page, state)
         page.evaluate(f"location.hash = '{SCREEN}'")
         left = page.locator(".meter .row span").first
@@ -83,6 +83,10 @@ def test_feed_and_buffer_are_plotted_while_a_program_runs(opened: Opened) -> Non
         expect(plot).to_be_visible()
         heights = [float(one.partition(",")[2]) for one in plot.locator("polyline").get_attribute("points").split()]
         assert heights[-1] > heights[0], "less is lower"
+    told(page, "running", mill={"feed_mm_per_min": 0})
+    expect(page.locator(".pace")).to_contain_text("433 mm/min")  # it stands for a moment between two lines
+    told(page, "held", mill={"feed_mm_per_min": 0})
+    expect(page.locator(".pace")).to_contain_text("Feed0 mm/min")
     told(page, "finished", mill={"buffer_share": 0.0})
     expect(page.locator(".running .mark")).to_have_text("finished")
     expect(plots.first).to_be_hidden()
@@ -284,9 +288,23 @@ def test_the_pictures_kept_of_a_run_are_played(opened: Opened) -> None:
     expect(card).to_be_hidden()
 
 
+def test_on_a_phone_the_camera_comes_next_after_the_program_that_runs(opened: Opened) -> None:
+    """And after what there is to do, where nothing runs."""
+    page = open_blank(opened, "machine", size="phone")
+    file = io.BytesIO()
+    Image.new("RGB", (8, 6), "red").save(file, "JPEG")
+    page.route("**/camera.jpg", lambda route: route.fulfill(body=file.getvalue(), content_type="image/jpeg"))
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    for state, cards in (("running", [".running", ".camera", ".part", ".overrides"]), ("parked", [".part", ".camera"])):
+        told(page, state, camera=True)
+        expect(page.locator(cards[-1])).to_be_visible()
+        tops = [box["y"] for card in cards if (box := page.locator(card).bounding_box())]
+        assert tops == sorted(tops) and len(tops) == len(cards), (state, tops)
+
+
 TIMES = """async ({ passes, runs, now }) => {
     const { findWholeJob, runTimeWords, wholeJobWords } = await import("/page/machine/running.js");
-    return runs.map((run) => [runTimeWords(run, now, false), wholeJobWords(findWholeJob(passes, run))]);
+    return runs.map((run) => [runTimeWords(run, now, false), wholeJobWords(findWholeJob(passes, run, run.simulated))]);
 }"""
 
 
@@ -300,14 +318,25 @@ def test_a_run_says_since_when_until_what_time_and_how_much_of_its_whole_job_is_
     done = run | {"state": "finished", "program": {"name": "pass-3.nc"}, "time_left_s": None}
     other = run | {"program": {"name": "witness-marks.nc"}}
     dry = run | {"lift_mm": 20}
-    given = {"passes": passes, "runs": [run, late, skipped, done, other, dry], "now": modules.evaluate(now)}
-    (here, late_, left_out, over, unknown, in_air) = modules.evaluate(TIMES, given)
+    fast = run | {"simulated": True, "time_left_s": 400, "share": 0.5}  # by its own pace, which is no real mill's
+    given = {"passes": passes, "runs": [run, late, skipped, done, other, dry, fast], "now": modules.evaluate(now)}
+    (here, late_, left_out, over, unknown, in_air, fast_) = modules.evaluate(TIMES, given)
     assert re.fullmatch(r".+ since its start, ends about 23:30", here[0])
     assert here[1] == "Program 2 of 3. The whole job: 50 % cut, 2 h of milling left"
     assert re.search(r"ends about \w+.* 22:30", late_[0])
     assert left_out == ["", "Program 2 of 3. The whole job: 5 % cut, 3 h 48 min of milling left"]
     assert over[1] == "Program 3 of 3. The whole job is cut."
+    assert fast_[1] == here[1]
     assert unknown[1] == in_air[1] == ""  # a dry pass cuts nothing of its job
+
+
+CUT = """(runs) => import("/page/machine/part.js").then(({ findCut }) => runs.map(findCut))"""
+
+
+def test_a_dry_pass_cuts_nothing_of_the_part_that_is_drawn(modules: Page) -> None:
+    run = {"executed_line": 7, "lift_mm": None}
+    runs = [run | {"state": state, "lift_mm": lift} for state, lift in (("held", None), ("held", 20), ("finished", 20))]
+    assert modules.evaluate(CUT, runs) == [{"line": 7, "whole": False}] + [{"line": 0, "whole": False}] * 2
 
 
 def test_a_dry_pass_says_that_nothing_is_cut(opened: Opened) -> None:
@@ -318,12 +347,26 @@ def test_a_dry_pass_says_that_nothing_is_cut(opened: Opened) -> None:
     )
     expect(card.locator(".checklist .go")).to_have_text("Start the dry pass of pass-2-finish.nc")
     expect(card.locator(".checklist")).to_contain_text("a dry pass: the spindle stays off")
+    expect(card).not_to_contain_text("A first run?")
+    told(page, "running", operator="Ada", run={"lift_mm": 20.0})
+    expect(page.locator(".part")).to_contain_text("; nothing is cut")
+    expect(page.locator(".override:visible span")).to_have_text(["Feed", "Rapids"])
     told(page, "finished", operator="Ada", run={"lift_mm": 20.0, "next": None})
     expect(card.locator(".dry")).to_have_text(
         "That was a dry pass, 20 mm higher: nothing was cut. Load the program again to cut it."
     )
     expect(card).not_to_contain_text("the lens is milled")
     expect(page.locator(".step")).not_to_contain_text("milled")
+
+
+def test_a_dry_pass_is_offered_before_the_first_run_of_a_program(opened: Opened) -> None:
+    page = with_control(opened, "parked")
+    offer = page.locator(".running").get_by_text("A first run?")
+    expect(offer).to_be_visible()
+    in_the_air = {"id": "an earlier one", "state": "finished", "open": False, "started_at": RUN["created_at"]}
+    told(page, "parked", operator="Ada", run={"id": "another"}, before=RUN | in_the_air | {"lift_mm": 20.0})
+    expect(page.locator(".running .go")).to_be_visible()
+    expect(offer).to_have_count(0)
 
 
 def test_a_program_is_loaded_as_it_is_or_as_a_dry_pass(opened: Opened) -> None:
@@ -361,6 +404,9 @@ def test_after_the_last_pass_the_work_by_hand_has_a_clock_that_a_reload_keeps(op
     page.evaluate(f"location.hash = '{SCREEN}'")
     clock = page.locator(".running .work-clock")
     expect(clock.get_by_role("timer")).to_have_text("10 min left")
+    for width, height in SIZES.values():
+        page.set_viewport_size({"width": width, "height": height})
+        assert out_of_sight(page, ".work-clock button:not([hidden])") == [], f"under a bar at {width}"
     clock.get_by_role("button", name="Start the clock").click()
     expect(clock).to_contain_text("until ")
     page.evaluate(

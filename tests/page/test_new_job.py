@@ -247,6 +247,29 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
 
 
+def test_the_best_finish_is_offered_where_a_planner_can_choose_it(new_job: Page, sent: list[Any]) -> None:
+    """It comes back with the planner; another choice stays. What it takes is said of no job without a finish."""
+    finish, best = new_job.get_by_label("Finished by hand"), new_job.locator("option", has_text="yes, in the best way")
+    chosen, hint = finish.locator("option:checked"), new_job.get_by_text("minutes and steps are on the sheet")
+    how = {name: new_job.locator(f"input[value={name}]") for name in ("draft", "recommended")}
+    expect(chosen).to_have_text("yes, in the best way")
+    expect(hint).to_be_visible()
+    how["draft"].check()
+    expect(chosen).to_have_text("no: as the mill leaves it")
+    expect(best).to_be_hidden()
+    expect(best).to_have_js_property("hidden", True)
+    expect(hint).to_be_hidden()
+    assert "finish" not in pressed(new_job, sent)[0]
+    how["recommended"].check()
+    expect(chosen).to_have_text("yes, in the best way")
+    new_job.get_by_label("Set every pass by hand").check()
+    expect(chosen).to_have_text("no: as the mill leaves it")
+    finish.select_option("felt and compound")
+    new_job.get_by_label("Set every pass by hand").uncheck()
+    expect(chosen).to_have_text("felt and compound")
+    assert pressed(new_job, sent)[0]["finish"] == {"process": "felt"}
+
+
 @pytest.mark.thorough
 def test_how_fine_is_chosen_beside_the_size_and_only_a_plan_can_keep_a_time(new_job: Page, sent: list[Any]) -> None:
     main = new_job.get_by_role("region", name="Mill, size, time")

@@ -51,7 +51,7 @@ export function part(link) {
     const scale = fitScale(canvas, scene);
     if (!scale) return;
     const { run, machine } = link;
-    sketch.draw(canvas, scale, scene, run && !isDry(run) ? { line: run.executed_line, whole: run.state === "finished" } : { line: 0 });
+    sketch.draw(canvas, scale, scene, findCut(run));
     drawTool(canvas, scale, scene, machine?.mill);
   }
 
@@ -72,6 +72,11 @@ export function part(link) {
       dark.removeEventListener("change", draw);
     },
   };
+}
+
+/** What of its program a run has cut, for `PathSketch.draw`. */
+export function findCut(run) {
+  return run && !isDry(run) ? { line: run.executed_line, whole: run.state === "finished" } : { line: 0, whole: false };
 }
 
 /** The path of the run's pass, if its job has one. */
