@@ -430,17 +430,23 @@ def test_a_slider_goes_through_the_plans(opened: Opened) -> None:
 @pytest.mark.thorough
 def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> None:
     job, files = canned()
-    spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
+    finish = job["spec"]["finish"] | {"process": "felt", "minutes": 1.8, "order": 1}
+    spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}, "finish": finish}
     report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5, "seen_db": 22.0}}
+    report |= {"finishing": {"minutes": 1.8, "steps": []}}
     other = like(job, 5, name="other.png", spec=spec, report=report)
     page = open_blank(opened, "job")
     answer(page, other, files)
     page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
-    rows = page.get_by_role("region", name="What differs").get_by_role("row")
-    expect(rows).to_have_count(3)
+    card = page.get_by_role("region", name="What differs")
+    rows = card.locator(":scope > table").get_by_role("row")
+    names = ["", "Work by hand", "On the wall", "Distance to the wall", "Finished by hand"]
+    expect(rows.locator(":first-child:is(th, td)")).to_have_text(names)  # each thing once
+    card.get_by_text("Every setting that differs").click()
+    expect(card.locator("details tbody th")).to_have_text(["Order"])  # no everyday word
     better = page.get_by_role("row", name="On the wall").get_by_role("cell", name="better")
     expect(better).to_have_text(re.compile(alike(22.0)))
-    expect(rows.nth(2)).to_have_text(re.compile(r"Distance to the wall.*123 mm"))
+    expect(rows.nth(3)).to_have_text(re.compile(r"Distance to the wall.*123 mm"))
     for name in ("logo", "other"):
         expect(page.get_by_role("img", name=f"{name}, As milled")).to_be_visible()
         expect(page.get_by_role("link", name=name, exact=True)).to_be_visible()
@@ -492,12 +498,18 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told[:1], "next": None}))
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
     expect(ending.get_by_role("link", name=re.compile("^Send to "))).to_have_attribute("href", re.compile("program=2$"))
+    unfold(page)
+    expect(page.locator(".programs li").filter(has_text="milled")).to_contain_text(["pass-1-rough.nc"])
+    expect(page.locator(".programs .primary").first).to_have_attribute("href", re.compile("program=2$"))
     page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told, "next": None}))
     page.evaluate("location.hash = '#/-'")
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
     milled = page.get_by_role("region", name="Your lens is milled")
     expect(milled.get_by_role("listitem").first).to_contain_text("done")
     expect(milled.get_by_role("button", name="Programs")).to_have_count(0)
+    unfold(page)
+    expect(page.locator(".programs li").filter(has_text="milled")).to_have_count(len(job["programs"]))
+    expect(page.locator(".primary:visible")).to_have_count(0)  # no pass is the next thing to do
 
 
 def test_a_job_being_made_shows_what_is_there_of_its_light(opened: Opened) -> None:

@@ -67,6 +67,18 @@ def test_the_program_that_is_named_is_the_one_that_is_loaded(
     expect(page.locator(".running h2")).to_contain_text(f"{run['program']['name']} of astronaut")
 
 
+def test_of_a_job_whose_programs_are_all_cut_none_is_chosen(opened: Opened) -> None:
+    page = shown(opened, pass_of(2))
+    programs = [{key: one[key] for key in RUN["program"]} for one in canned_job.job()["programs"]]
+    cut = [RUN | {"state": "finished", "open": False, "program": program} for program in programs]
+    page.route("**/v1/runs?machine=*&job=*", lambda route: route.fulfill(json={"runs": cut, "next": None}))
+    page.get_by_role("combobox", name="Job").select_option(OWN)
+    expect(page.get_by_role("combobox", name="Program").locator("option:checked")).to_have_text("all are done")
+    expect(page.get_by_role("button", name="Load onto the mill")).to_be_disabled()
+    expect(page.locator(".next .step")).to_contain_text("the lens of astronaut is milled")
+    expect(page.locator(".primary:visible")).to_have_count(0)
+
+
 @pytest.mark.thorough
 def test_what_the_line_names_it_loads(opened: Opened) -> None:
     page = shown(opened, pass_of(1))

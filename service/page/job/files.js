@@ -85,8 +85,8 @@ function row(job, program, mills, left) {
   return h(
     "li", {},
     cutterShape(pass),
-    h("div", { class: "program-what" }, h("strong", {}, program.name), pass && h("span", {}, passWords(pass)), h("small", { class: "dim" }, size)),
-    h("div", { class: "program-time" }, h("strong", {}, seconds ? hours(seconds) : ""), !left.includes(program) && mark("good", t("milled"))),
+    h("div", { class: "program-what" }, h("div", {}, h("strong", {}, program.name), " ", !left.includes(program) && mark("good", t("milled"))), pass && h("span", {}, passWords(pass)), h("small", { class: "dim" }, size)),
+    h("strong", { class: "program-time" }, seconds ? hours(seconds) : ""),
     h("div", { class: "row" }, sends, save),
   );
 }

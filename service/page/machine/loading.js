@@ -7,6 +7,7 @@ import { isCut, isGoing, mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, refusalLine } from "./order_controls.js";
 import { roomToLift } from "./place.js";
+import { field } from "./probe.js";
 import { addressOf, whyNot } from "./words.js";
 
 const LIFT_MM = 20; // of a dry pass, where the mill has room for it
@@ -27,7 +28,7 @@ export function loadCard(link, chosen) {
   const lift = h("input", { type: "number", min: 1, max: 200, step: "any", value: LIFT_MM, required: true, inputMode: "decimal", oninput: () => ((lift.dataset.said = "yes"), link.changed()) });
   const dry = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value, lift.valueAsNumber)) }, t("Load as a dry pass"));
   const about = h("p", { class: "dim" }, t("The whole program runs so much higher, with spindle and coolant off, and cuts nothing. The pass still has to be cut afterwards."));
-  const dryPart = h("details", { class: "probe" }, h("summary", {}, t("Dry pass")), h("div", { class: "probe-form" }, field(t("Higher by"), h("span", { class: "with-unit" }, lift, h("span", {}, "mm"))), dry), about);
+  const dryPart = h("details", { class: "probe" }, h("summary", {}, t("Dry pass")), h("div", { class: "probe-form" }, field(t("Higher by"), lift, "mm"), dry), about);
   const reason = h("p", { class: "missing", role: "status" });
   const form = h("div", { class: "load-form" }, field(t("Job"), jobs), field(t("Program"), passes), load, dryPart, reason);
   const none = h("p", { class: "dim" }, t("No job has programs yet. "), h("a", { href: "#/new" }, t("Make one")), t(": its programs can be loaded here."));
@@ -144,8 +145,4 @@ function isProgram({ name, number }, wanted) {
 async function withPrograms(jobs) {
   const whole = await Promise.all(jobs.map((job) => (job.state === "running" ? api.get(`/v1/jobs/${job.id}`) : null)));
   return jobs.filter((job, k) => !whole[k] || mayBeMilled(whole[k]));
-}
-
-function field(label, control) {
-  return h("label", { class: "field" }, h("span", {}, label), control);
 }

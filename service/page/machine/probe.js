@@ -74,5 +74,5 @@ export function number(value, { min, max, step }) {
 }
 
 export function field(label, input, unit) {
-  return h("label", { class: "field" }, h("span", {}, label), h("span", { class: "with-unit" }, input, h("span", {}, unit)));
+  return h("label", { class: "field" }, h("span", {}, label), unit ? h("span", { class: "with-unit" }, input, h("span", {}, unit)) : input);
 }

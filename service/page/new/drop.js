@@ -25,28 +25,9 @@ export function dropPlace({ words, onFile, compact = false, more }) {
     const file = await (await import("./camera.js")).photograph();
     if (file && place.isConnected) onFile(file);
   }
-  const place = h(
-    "div",
-    { class: compact ? "drop compact" : "drop" },
-    h("p", {}, words),
-    h(
-      "div",
-      { class: "row" },
-      h(
-        "button",
-        { type: "button", class: compact ? "" : "primary big", onclick: () => chosen.click() },
-        t("Choose a picture"),
-      ),
-      h(
-        "button",
-        { type: "button", class: compact ? "photo" : "photo big", hidden: !hasCamera(), onclick: photo },
-        t("Take a photo"),
-      ),
-    ),
-    chosen,
-    photographed,
-    more,
-  );
+  const choose = h("button", { type: "button", class: compact ? "" : "primary big", onclick: () => chosen.click() }, t("Choose a picture"));
+  const shoot = h("button", { type: "button", class: compact ? "photo" : "photo big", hidden: !hasCamera(), onclick: photo }, t("Take a photo"));
+  const place = h("div", { class: compact ? "drop compact" : "drop" }, h("p", {}, words), h("div", { class: "row" }, choose, shoot), chosen, photographed, more);
   receive(place, take);
   return place;
 }

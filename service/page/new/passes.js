@@ -16,18 +16,8 @@ export function passes({ onChange, known }) {
   const list = h("ol", { class: "passes" });
   const add = h("button", { type: "button", onclick: () => change([...values(), another()], values().length) }, t("Add a pass"));
   const byHand = h("input", { type: "checkbox", onchange: () => change(byHand.checked ? known() : null) });
-  const element = h(
-    "div",
-    { class: "stack" },
-    h(
-      "label",
-      { class: "tick field" },
-      byHand,
-      h("span", {}, t("Set every pass by hand"), h("small", {}, t(" (otherwise they follow from “How fine”)"))),
-    ),
-    list,
-    add,
-  );
+  const words = h("span", {}, t("Set every pass by hand"), h("small", {}, t(" (otherwise they follow from “How fine”)")));
+  const element = h("div", { class: "stack" }, h("label", { class: "tick field" }, byHand, words), list, add);
 
   /** focus: number of the pass that the person is editing. */
   function change(rows, focus = 0) {
@@ -47,30 +37,17 @@ export function passes({ onChange, known }) {
     byHand.checked = Boolean(rows);
     add.hidden = !rows;
     cards = (rows ?? []).map((values, at) => card(values, at, rows.length));
-    replace(
-      list,
-      cards.map((one) => one.element),
-    );
+    replace(list, cards.map((one) => one.element));
   }
 
   function card(values, at, count) {
     const rows = PASS.map((field) => row(field, { onChange, key: `passes.${at}.${field.key}` }));
     for (const one of rows) one.show(values[one.field.key] ?? undefined);
-    const remove = h(
-      "button",
-      { type: "button", class: "quiet", disabled: count === 1, onclick: () => without(at) },
-      t("Remove"),
-    );
+    const remove = h("button", { type: "button", class: "quiet", disabled: count === 1, onclick: () => without(at) }, t("Remove"));
     const title = h("h3", { tabIndex: -1 }, t`Pass ${at + 1}`);
     const fault = h("p", { class: "fault", role: "alert" });
     const fields = h("div", { class: "fields" }, rows.map((one) => one.element));
-    const element = h(
-      "li",
-      { class: "card" },
-      h("div", { class: "row spread" }, title, remove),
-      fault,
-      fields,
-    );
+    const element = h("li", { class: "card" }, h("div", { class: "row spread" }, title, remove), fault, fields);
     return { rows, whole: wholePass(`passes.${at}`, { element, title, fault }), element };
   }
 

@@ -21,17 +21,11 @@ export function row(field, { onChange, key = field.key }) {
   const hint = field.hint && h("small", { id: ids.hint }, field.hint);
   const element = h(
     "div",
-    { class: input.group || field.wide ? "field wide" : "field", dataset: { key } },
+    { class: input.group || field.wide ? "field wide" : "field", dataset: { key }, role: input.group ? "group" : null, "aria-labelledby": input.group ? ids.label : null },
     labelled(field, input, ids),
     hint,
     fault,
   );
-  if (input.group)
-    for (const [name, value] of [
-      ["role", "group"],
-      ["aria-labelledby", ids.label],
-    ])
-      element.setAttribute(name, value);
 
   /** use: a valid value, which one click takes over. */
   function blame(words, use) {
@@ -101,9 +95,7 @@ function selectAll({ target }) {
 }
 
 function withUnit(input, unit) {
-  return unit
-    ? h("span", { class: unit.length > 3 ? "with-unit long" : "with-unit" }, input, h("span", {}, unit))
-    : input;
+  return unit ? h("span", { class: unit.length > 3 ? "with-unit long" : "with-unit" }, input, h("span", {}, unit)) : input;
 }
 
 function readNumber(input, { whole = false } = {}) {
