@@ -107,8 +107,8 @@ def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(modules: Page) -
 
 
 HEADLINES = """([optics, milled, foretold, finishing]) => import("/page/job/figures.js").then(({headlines}) =>
-    headlines({optics: {width_mm: 30, height_mm: 30}, image: {pixels: 64}}, {optics, as_milled: milled, finishing}, foretold)
-    .filter(([what]) => what.startsWith("On the wall")))"""
+    headlines({optics: {width_mm: 30, height_mm: 30}, image: {pixels: 64}}, {optics, as_milled: milled, finishing},
+    foretold).filter(([what]) => what.startsWith("On the wall")))"""
 
 
 def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modules: Page) -> None:
@@ -498,7 +498,7 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told[:1], "next": None}))
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
     expect(ending.get_by_role("link", name=re.compile("^Send to "))).to_have_attribute("href", re.compile("program=2$"))
-    unfold(page)
+    page.locator(".programs-part > details").evaluate("one => (one.open = true)")
     expect(page.locator(".programs li").filter(has_text="milled")).to_contain_text(["pass-1-rough.nc"])
     expect(page.locator(".programs .primary").first).to_have_attribute("href", re.compile("program=2$"))
     page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told, "next": None}))
@@ -507,7 +507,7 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     milled = page.get_by_role("region", name="Your lens is milled")
     expect(milled.get_by_role("listitem").first).to_contain_text("done")
     expect(milled.get_by_role("button", name="Programs")).to_have_count(0)
-    unfold(page)
+    page.locator(".programs-part > details").evaluate("one => (one.open = true)")
     expect(page.locator(".programs li").filter(has_text="milled")).to_have_count(len(job["programs"]))
     expect(page.locator(".primary:visible")).to_have_count(0)  # no pass is the next thing to do
 

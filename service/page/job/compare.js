@@ -62,8 +62,8 @@ function differing(sides, names) {
   const figures = FIGURES.map((figure) => figureRow(figure, jobs)).filter(Boolean);
   const named = jobs.find((job) => passesOf(job).length) ?? jobs[0], spec = { ...named.spec, passes: passesOf(named) };
   const line = ([key, ...values]) => row(capital(settingWords(key, spec)), values.map((value) => valueWords(key, value)));
-  const seen = ([key, here, there]) => valueWords(key, here) !== valueWords(key, there);
-  const all = differences(...jobs.map(specOf)).filter(([key, ...values]) => key !== SAID && seen([key, ...values])), forExperts = all.filter(([key]) => isExpert(key));
+  const seen = ([key, here, there]) => key !== SAID && valueWords(key, here) !== valueWords(key, there);
+  const all = differences(...jobs.map(specOf)).filter(seen), forExperts = all.filter(([key]) => isExpert(key));
   const most = Math.max(...passes.map(({ length }) => length));
   const inWords = Array.from({ length: most }, (_, k) => {
     const each = passes.map((list) => list[k]), texts = each.map((pass) => (pass ? passWords(pass) : "–"));

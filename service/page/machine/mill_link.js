@@ -25,6 +25,7 @@ export class MillLink {
     this.machine = null;
     this.run = undefined; // not fetched yet; null: there has been none
     this.before = null; // the program that was started before the one that waits now
+    this.isTried = false; // whether the one that waits has run here, dry or not
     this.answers = new Map(); // run -> whether its block is the one that X0 Y0 was set for, as a person here has said
     this.sameBlock = (run) => this.answers.get(run.id);
     this.looking = false;
