@@ -94,7 +94,7 @@ class LensForm:
         return _tips_mm(self, radius_mm)
 
     def lowest_tip_mm(self, radius_mm: float) -> float:
-        """Return the lowest of them; a flat cutter of that radius stays higher."""
+        """Return the lowest height of the ball's tip; a flat cutter of that radius stays higher."""
         return float(self.tips_mm(radius_mm).min())
 
     @property
@@ -118,8 +118,8 @@ class LensForm:
         """Return rms slopes that the rows of a pass leave across them, over those on a flat lens: a sloping ball is
         steeper.
 
-        Not more so in a hollow of curvature k: its rows' contacts lie farther apart by 1 / (1 - kR), and between them
-        ball and lens part by as much less.
+        A hollow of curvature k does not change that: the contacts of its rows lie farther apart by 1 / (1 - kR), and
+        ball and lens diverge between them by as much less.
         """
         return _steepness(self, spec.strategy, spec.direction)
 
@@ -146,8 +146,8 @@ class LensForm:
         return _usual_chord_mm(self, replace(spec, pitch_mm=spec.radius_mm))  # the same for all pitches
 
     def tip_ways(self, spec: PassSpec) -> Array:
-        """Return (n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds
-        it.
+        """Return (n,) path of a ball's tip along the rows over the path of its contact: small in a hollow that the ball
+        just fits.
         """
         return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
 

@@ -1,7 +1,7 @@
 /**
- * The coarse level of a pass's path, drawn once faintly and then, as lines are cut, over it: as a line, or, by a pass
- * that makes the lens, as wide as its ball in the colours of the lens's heights. What was drawn is kept in a picture of
- * its own, so that a new position costs no more than the lines since the last one.
+ * Draws the coarse level of a pass's path: once faintly, then over it the lines that are cut. A pass that makes the
+ * lens is drawn as wide as its ball, in the colours of the lens's heights; others as a line. The result is kept in a
+ * separate picture, so that a new position costs only the lines since the last one.
  */
 
 const POINT = 4; // numbers of a point in the file: shares of x, y, z and time with two bits
@@ -31,7 +31,7 @@ export class PathSketch {
     this.drawn = "";
   }
 
-  /** Everything under the tool. done: {line, whole}, the last line of this program that is cut, or all of it. */
+  /** Everything under the tool. done: {line, whole}, the last line of this program that is cut, or whether all of it is. */
   draw(canvas, scale, scene, done) {
     const colours = coloursOf(canvas);
     const now = [canvas.width, canvas.height, scale.k, colours.cut, Boolean(this.points)].join();

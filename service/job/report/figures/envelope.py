@@ -1,7 +1,7 @@
 """envelope.png: block, clamps and tool between the table and the mill's head, from the front, to scale.
 
 Left: the tool at its lowest, where its axis comes nearest to a clamp. Right: at the safe height, where rapids cross and
-programs begin and end. Heights are over the table. It is the tool that sticks out farthest.
+programs begin and end. Heights are over the table. The drawing shows the tool that sticks out farthest.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BESIDE_MM = 30.0
 
 
 def envelope_png(envelope: Envelope, reach: Reach, *, file: str, machine: str, base_mm: float) -> bytes:
-    """Draw both positions of one program's tool. base_mm : of what the block lies on"""
+    """Draw both positions of one program's tool. base_mm : height of the base under the block"""
     figure = new_figure(10.0, 4.6)
     zero_mm = base_mm + envelope.thickness_mm
     stick_out_mm = envelope.stick_out_mm(reach)
