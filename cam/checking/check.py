@@ -3,7 +3,7 @@
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
-stated, what stands beside them, and the clamps (`collision`).
+stated, stock and clamps beside them (`collision`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
 the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
@@ -77,9 +77,9 @@ class PassCheck:
     """What one program does to the stock. `faults` are sentences; a program without any is `ok`.
 
     excess_um        : greatest stock above the wanted surface within the ball's reach, regular cusps included
-    excess_ratio     : that, over what pitch, slope and curvature explain at the same place (99.9 % of cells stay below)
-    climb_share      : of the volume, what was cut climbing; slot_length_mm of the path cut at full width, slot_depth_mm
-                       deep at most; flute_need_mm how high above the tip stock was cut
+    excess_ratio     : that, over the height that pitch, slope and curvature explain there (99.9 % of cells stay below)
+    climb_share      : share of the volume that was cut climbing; slot_length_mm of the path cut at full width,
+                       slot_depth_mm deep at most; flute_need_mm how high above the tip stock was cut
     below_leave_um   : how far the pass cut into the stock it should leave
     unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
     contour          : of a contour pass, how it runs (`cam.checking.path_quality`)
@@ -164,7 +164,7 @@ def check_program(
 ) -> PassCheck:
     """Cut the program into stock_top and judge it. Raises ProgramError if the text itself is not allowed.
 
-    digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
+    digit_mm    : digit of heights, by the language or by the mill; where it is coarse, larger deviations are allowed
     further     : programs that go on where this one ends, when a pass is split
     total_bytes : length of the program if known; then on_progress gets the share done
     """

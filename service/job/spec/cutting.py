@@ -419,7 +419,7 @@ class MachineSpec(Section):
     units: Annotated[Literal["mm", "inch"] | None, _shown("Programs in")] = None
     number_every: Annotated[
         Annotated[int, _as_in_profile("number_every")] | None,
-        shown("N words", "On every so many-th line.", usual="usual"),
+        shown("N words", "On every n-th line.", usual="usual"),
     ] = None
     warm_up_s: Annotated[
         Annotated[float, _as_in_profile("warm_up_s"), none_or_from(0.1)] | None,

@@ -226,7 +226,7 @@ def stop_lines(heard: Sequence[signal.Signals]) -> Iterator[str]:
     if ways:
         yield f"to stop:    {ways}: each holds the mill, then aborts from standstill"
     else:
-        yield "to stop:    its caller lets no signal through to this command: only at the mill itself"
+        yield "to stop:    only at the mill itself: the caller of this command blocks all signals"
     yield f"{'':<11} no keys are read here. The mill's own feed hold, reset and emergency stop always work"
 
 
