@@ -55,7 +55,7 @@ forgives. Sanding takes most of them off, and with them the finest parts of the 
         "Large, smooth shapes",
         PHOTOGRAPHS / "coffee.png",
         "--machine grbl",
-        """The highest figure of the six: large shapes with soft light on them. What is dark beside a highlight goes
+        """The highest figure of the six: large shapes with soft light on them. Dark parts beside a highlight go
 first: the front of the cup and the spoon are lost. If you may choose a picture, choose one with large
 shapes and no deep shadows.""",
     ),

@@ -91,9 +91,7 @@ def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm
     outside = distance_transform_edt(np.logical_not(is_inside(_hull(bench), x_mm, y_mm)))  # in cells
     highest = t[outside <= cells].max()
     share = np.clip((outside - cells) / (_BLEND * cells), 0.0, 1.0) ** 2
-    smooth = gaussian_filter(
-        t, 2.0 * cells, mode="nearest"
-    )  # run-outs of single rays are ridges, which no cutter can use
+    smooth = gaussian_filter(t, 2.0 * cells, mode="nearest")  # run-outs of single rays are ridges, useless to a cutter
     return np.asarray(np.where(outside <= cells, t, np.minimum(t + share * (smooth - t), highest)))
 
 

@@ -59,7 +59,7 @@ def _fill_odd_triangles(below: Array, above: Array, light: Array, density: Array
 
 @njit(cache=True, nogil=True)
 def fill_pixels(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: Array) -> None:
-    """Compute pixel (columns + 1,): index in the flat acc of the pixel that a ray hits, -1: none; corner (2, ..): x, y."""
+    """Compute pixel (columns + 1,): index in flat acc of the pixel that a ray hits, -1: none; corner (2, ..): x, y."""
     for c in range(pixel.size):
         x, y = hit[0, c], hit[1, c]
         pixel[c] = -1
