@@ -70,7 +70,7 @@ REFUSED = {
 
 
 class RmlFault(ValueError):
-    """The fault of one command, in words."""
+    """A command with a fault; the message describes it."""
 
     def __init__(self, words: Phrase) -> None:
         super().__init__(words)

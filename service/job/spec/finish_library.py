@@ -69,7 +69,7 @@ class Process:
         return self.default_minutes * self._lenses(area_mm2)
 
     def least_and_most_minutes(self, area_mm2: float) -> tuple[float, float]:
-        """Return the minutes between which the law is believed, for a lens of that area."""
+        """Return the least and the most minutes for which the law is known to hold, for a lens of that area."""
         low, high = self.minutes_range
         return low * self._lenses(area_mm2), high * self._lenses(area_mm2)
 
@@ -112,7 +112,7 @@ def instruct_finishing(
     finish    : table `finish` of the spec: process, and, if given, k0_rad_per_mm, order, depth_um, minutes, pad_mm
     processes : by name
     area_mm2  : of the lens
-    returns   : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
+    returns   : report `finishing`: title, minutes (of the whole lens, with the known range), depth_um, the
                wavelengths that are levelled (a tenth is left) and kept (nine tenths are), the run-out that rims need,
                and the sentences of the process; figures without a process of the library have none
     """
@@ -165,7 +165,7 @@ def built_in_sentences() -> Mapping[str, Phrase]:
 
 
 def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:
-    """Return the length of the wave of which that share of its height, within 0 and 1, is left."""
+    """Return the length of the wave that keeps this share (between 0 and 1) of its height."""
     return 2 * math.pi / (k0_rad_per_mm * math.log(1 / share) ** (1 / order))
 
 

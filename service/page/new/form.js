@@ -16,11 +16,11 @@ const OTHERS = {
   kind: "json",
 };
 const OWN = ["machine.profile", "stock.thickness_mm", "finish.process"];
-const ONE_OPEN = "causticmill-settings"; // of folds of one name one is open
+const ONE_OPEN = "causticmill-settings"; // of the folds with one name, one is open
 const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 
 /**
- * {own, main, picture: elements, own of what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
+ * {own, main, picture: elements; own: what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
  * as the server describes them; last: a row that is no part of the spec.
  */
@@ -36,7 +36,7 @@ export function specForm({ profiles, onChange, planned, last }) {
   const milling = passes({ onChange: changed, known: planned });
   const rest = row(OTHERS, { onChange: changed });
   const [width, height] = ["width", "height"].map((side) => rows.find(({ key }) => key === `optics.${side}_mm`));
-  const shape = { ratio: 1, byHand: false, finish: START.finish.process }; // finish: as the way of planning has it
+  const shape = { ratio: 1, byHand: false, finish: START.finish.process }; // finish: the default of the way of planning
 
   /** The height follows the width as long as nobody has set it. */
   function keepShape(changedKey) {
@@ -184,7 +184,7 @@ function safely(read) {
 }
 
 /**
- * {element, update(spec)}: groups, {title, keys of the spec, content}, of which one is unfolded; while a person searches, all that have what is wanted.
+ * {element, update(spec)}: groups, {title, keys of the spec, content}, of which one is unfolded; during a search, all groups with matches.
  * update: each says how many of its keys differ from the usual.
  */
 function allSettings(groups) {

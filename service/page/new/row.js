@@ -48,7 +48,7 @@ export function row(field, { onChange, key = field.key }) {
   return { element, key, field, read: input.read, show: input.show, blame, disable, focus: () => input.controls[0].focus() };
 }
 
-/** The value of a row; what cannot be read goes to faults as {row, words}. */
+/** The value of a row; an unreadable one goes to faults as {row, words}. */
 export function readRow(row, faults) {
   try {
     return row.read();
