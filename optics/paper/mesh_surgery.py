@@ -1,7 +1,7 @@
-"""Local changes to a mesh that lies in two planes at once: edges flipped, vertices removed and put in.
+"""Local changes to a mesh that lies in two planes at once: flips edges, removes and inserts vertices.
 
 The mesh stands for a one-to-one map: vertex i lies at lens[i] and at screen[i], triangles are counter-clockwise in both
-planes, and each operation is done only where that stays so. A triangle's *life* is the time until the vertices'
+planes, and an operation is done only if that remains true. A triangle's *life* is the time until the vertices'
 velocities make it flip (the paper's dt_i). A vertex is removed by merging it into one of its neighbours.
 """
 

@@ -1,7 +1,7 @@
 """Whether a job fits its mill: travel, table, head and clamps; one rule for a submitted job, an estimate, the command
 line and a plan.
 
-Width, height and the block are checked as soon as a job is resolved; what depends on the lens, when it is computed.
+Width, height and the block are checked as soon as a job is resolved; the rest when the lens has been computed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def require_envelope(
 
 
 def raise_problems(found: Sequence[tuple[Problem, float | None]]) -> None:
-    """Raise SpecError if there are any, with the values that would fit."""
+    """Raise SpecError for these problems, if there are any, with the values that would fit."""
     if found:
         raise SpecError([one for one, _ in found], {key: use for (key, _), use in found if use is not None})
 
@@ -64,7 +64,7 @@ def list_clamps(spec: JobSpec) -> tuple[Clamp, ...]:
 
 
 def safe_z_over_clamps_mm(spec: JobSpec, safe_z_mm: float) -> float:
-    """Return the height of rapids: the mill's usual one, or what clears the job's clamps."""
+    """Return the height of rapids: the mill's usual one, or a height that clears the job's clamps."""
     highest_mm = max((clamp.height_mm for clamp in list_clamps(spec)), default=0.0)
     return max(safe_z_mm, highest_mm + ABOVE_CLAMPS_MM) if highest_mm > 0 else safe_z_mm
 
@@ -161,7 +161,7 @@ def _find_short_flutes(spec: JobSpec) -> Iterator[tuple[Problem, float | None]]:
 
 
 def find_unstated(machine: MachineProfile) -> Iterator[Problem]:
-    """Yield the figures that programs move by and that only the owner of the mill knows."""
+    """Yield the figures that programs depend on and that only the owner of the mill knows."""
     if "top_z_mm" in machine.guesses:
         yield (
             "machine.top_z_mm",
@@ -244,7 +244,7 @@ def _find_struck(spec: JobSpec, envelope: Envelope, key: str, reach: Reach) -> I
 def _find_too_tall(
     spec: JobSpec, machine: MachineProfile, envelope: Envelope, reaches: Mapping[str, Reach]
 ) -> Iterator[tuple[Problem, float | None]]:
-    """Find a block that does not fit under the head with its tools, or that they do not come down to."""
+    """Find a block that does not fit under the head with its tools, or that the tools do not reach."""
     least_mm, most_mm = envelope.base_range_mm(reaches.values())
     base_mm, thick_mm = envelope.base_mm, envelope.thickness_mm
     stands_mm = max(least_mm, 0.0) if base_mm is None else base_mm
@@ -277,7 +277,7 @@ def _find_too_tall(
             )
         key, fits_mm = "stock.base_mm", most_mm
         if base_mm is None or most_mm < 0:
-            # a cutter that cuts the lens out sticks out by as much more as the block is thicker
+            # the stick-out of a cutter that cuts the lens out grows with the thickness of the block
             share = 0.5 if "stock.cut_out" in reaches and not by_gantry else 1.0
             key, fits_mm = "stock.thickness_mm", thick_mm - share * (stands_mm - most_mm)
         fits_mm = floor(10 * fits_mm + _ROUNDING_MM) / 10
@@ -295,7 +295,7 @@ def _find_too_tall(
 
 
 def _offer(key: str, words: Phrase, most_mm: float) -> tuple[Problem, float | None]:
-    """Return the problem with the greatest value of its key that would fit, if one does."""
+    """Return the problem with the greatest value of its key that would fit, if there is one."""
     if most_mm <= 0:
         return (key, words), None
     return (
@@ -355,7 +355,7 @@ def find_beyond_travel(
 def _list_overhangs(
     spec: JobSpec, machine: MachineProfile, radii_mm: Sequence[float], axis: str
 ) -> Iterator[tuple[float, Phrase]]:
-    """Yield what moves beyond the lens, and how far at either side."""
+    """Yield the cutters that move beyond the lens, and how far on either side."""
     stock = spec.stock
     radius_mm = max(radii_mm, default=0.0)
     yield radius_mm, Phrase("a cutter of radius {radius_mm:g} mm", radius_mm=radius_mm)

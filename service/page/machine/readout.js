@@ -69,7 +69,7 @@ function spindleWords(mill) {
 const SPAN_MS = 60_000;
 const [WIDE, HIGH] = [120, 28];
 
-/** {node, add(value)}; most: the top of the plot, 0: the most that was seen. null ends it: it is not shown then. */
+/** {node, add(value)}; most: the top of the plot, 0: the greatest value so far. null ends the plot and hides it. */
 export function sparkline(name, most) {
   const line = svg("polyline", { points: "" });
   const drawn = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", role: "img", "aria-label": t`${name} in the last minute` }, line);

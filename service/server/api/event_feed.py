@@ -29,7 +29,7 @@ _log = structlog.get_logger("api")
 
 
 class Follower(Reader):
-    """seen: seq of the last event in its queue; progress: the last that was shown."""
+    """seen: seq of the last event in its queue; progress: the last value that was sent."""
 
     def __init__(self, job_id: str, seen: int) -> None:
         super().__init__(_MOST_WAITING)
