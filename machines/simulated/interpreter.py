@@ -106,7 +106,9 @@ class SimulatedMove:
 
 @dataclass(slots=True)
 class Action:
-    """What a checked line asks for, beyond the modal state it leaves. `order` of execution is the firmware's."""
+    """The actions of a checked line, beyond the modal state that it leaves. The firmware determines the `order` of
+    execution.
+    """
 
     words: Words
     modal: dict[str, str]

@@ -57,14 +57,14 @@ def plan_witness(job: ResolvedJob) -> WitnessPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Room:
-    """Where axes of rows may be: along the side, and across it, from the outer end to that near the lens."""
+    """The range for axes of rows: along the side, and across it, from the outer end to the end near the lens."""
 
     along_mm: tuple[float, float]
     across_mm: tuple[float, float]
 
     @classmethod
     def of(cls, job: ResolvedJob, side: Side, finish: Finish, depth_mm: float) -> _Room | None:
-        """Return the room at a side; None if there is too little, or the mill does not travel so far."""
+        """Return the room at a side; None if there is too little, or the mill does not travel that far."""
         spec, optics, margin_mm = job.spec, job.spec.optics, job.spec.stock.margin_mm
         skim_mm, radius_mm = spec.stock.skim_mm, spec.passes[-1].radius_mm
         beside_mm = math.sqrt(2 * radius_mm * (skim_mm + _DEEPER_MM))

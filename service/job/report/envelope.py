@@ -1,4 +1,4 @@
-"""What a job's report says of table and head, once its programs are known: how far each tool sticks out, and how high
+"""The part of a job's report on table and head, once its programs are known: how far each tool sticks out, and how high
 the block has to lie.
 """
 
@@ -35,11 +35,12 @@ def reaches_of(spec: JobSpec, report: Mapping[str, Any]) -> dict[str, Reach]:
 def describe_envelope(
     spec: JobSpec, machine: MachineProfile, report: Mapping[str, Any]
 ) -> tuple[dict[str, Any], Envelope, dict[str, Reach]]:
-    """Return figures for the report, and what they were taken from. SpecError if a program does not fit after all.
+    """Return figures for the report, and the envelope from which they were taken. SpecError if a program does not fit
+    after all.
 
     stick_out_mm : by file; stated: the files whose tool is clamped as the job says, the others are at least so long
     clamps_mm    : left, front, width and depth of each
-    base_mm      : least and greatest height of what the block lies on; None: no bound is known
+    base_mm      : least and greatest height of the base under the block; None: no bound is known
     """
     reaches, envelope = reaches_of(spec, report), envelope_of(spec, machine)
     lows = [reaches[row["file"]].lowest_mm for row in report.get("passes", ())]
