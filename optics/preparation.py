@@ -28,9 +28,7 @@ _STEEPEST = 2.5  # slope of the equalised curve, so that faint noise is not ampl
 _TONES, _TONE_BLUR = 256, 6.0
 _CLIPPED = 0.001  # of the pixels, brighter than white
 _KNEE = 0.05  # lightness: how far from black and white tones begin to bend
-_TWO_TONES = (
-    0.93  # share of the variance between two tones from which there are no others (logos 0.98, photographs < 0.9)
-)
+_TWO_TONES = 0.93  # share of the variance between two tones: above it there are no others (logos 0.98, photos < 0.9)
 _GAMMA = 2.2  # lightness = light^(1/2.2), as eyes see it and near the sRGB curve
 _BLACK_ROUNDS = 20
 

@@ -1,4 +1,4 @@
-"""Rest passes: a small ball only where the one before it, too big for a hollow, has left stock.
+"""Rest passes: a small ball cuts only where the bigger ball before it has left stock in a hollow.
 
 Where the stock stands higher than regular cusps explain is the core. Tips cover the core grown by the ball's reach, on
 the exact surface, and a band around it, in which they rise off the surface ever faster until the ball touches nothing:
@@ -46,7 +46,7 @@ HOP_MM = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestAreas:
-    """Where a rest pass cuts, cell by cell of the stock it meets.
+    """The places where a rest pass cuts, cell by cell of the stock it meets.
 
     core (ny, nx)       : stock stands too high there
     beyond_mm (ny, nx)  : distance of a tip from the area in which it must follow the surface; 0 or less: inside

@@ -1,4 +1,4 @@
-"""The paper's simple remeshing (section 5): cut out what would flip soon, and throw darts into the holes.
+"""The paper's simple remeshing (section 5): cut out triangles that would flip soon, and throw darts into the holes.
 
 "... first detecting triangles which admit small dt, then removing the vertices of the triangles, and inserting random
 vertices using dart throwing." A vertex is removed by drawing it onto the neighbour that lets the triangles around live

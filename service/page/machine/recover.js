@@ -68,7 +68,7 @@ export function recover(link) {
     showFirst();
   }
 
-  /** A tool in the block does not prevent the plan, which begins by raising it; it does prevent a person's jog. */
+  /** The first steps. A tool in the block is no obstacle to the plan, which begins by raising it, but a person at the mill must know. */
   function showFirst() {
     const again = h("button", { type: "button", onclick: ask }, t("Look again"));
     const now = step(t("Do this first"), plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);

@@ -68,9 +68,7 @@ class HomeAssistant:
         wanted = dict.fromkeys(self._shown, "") | dict(list_messages(machines))  # an empty message takes an entity away
         changed = [(topic, text) for topic, text in wanted.items() if self._shown.get(topic) != text]
         sent = [self._client.publish(topic, text, retain=True) for topic, text in changed]
-        self._pending = [
-            one for one in sent if not one.rc
-        ]  # the other messages met a link that had just broken: see _is_new
+        self._pending = [one for one in sent if not one.rc]  # the others met a link that had just broken: see _is_new
         self._shown = dict(wanted)
 
 
