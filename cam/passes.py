@@ -39,7 +39,7 @@ class PassSpec:
                         but every row climb-mills
     where             : everywhere, or only at places that the pass before could not reach (cam.rows.rest)
     flute_length_mm   : length of the cutting edges, from the tip; None: not stated
-    shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
+    shank_radius_mm   : of the shank above the flutes; None: no thicker than the ball
     stick_out_mm      : from the tip to the collet, as clamped; None: as little as the program needs
     max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
     flutes            : cutting edges
@@ -136,7 +136,7 @@ class PassSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clamp:
-    """A box on the block: x_mm, y_mm its lower left corner in the work frame, height_mm how high it stands above Z0."""
+    """A box on the block: x_mm, y_mm: its lower left corner in the work frame; height_mm: its height above Z0."""
 
     x_mm: float
     y_mm: float

@@ -100,10 +100,7 @@ def main(folder: Path) -> None:
         "site_dir": str((folder.parent / "docs").absolute()),
         "theme": _THEME,
         "extra_css": ["site.css"],
-        "extra": {
-            "polyfills": ["iframe-worker.js"],
-            "generator": False,
-        },  # otherwise the plugin downloads one from the web
+        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # or the plugin downloads one
         "markdown_extensions": _EXTENSIONS,
         "plugins": ["search", "offline"],  # it is read from files, without a server
         "nav": [{part: [{title: page} for title, page in pages.items()]} for part, pages in NAV.items()],

@@ -55,7 +55,7 @@ def trace_paths(
 ) -> tuple[Path, ...]:
     """Return the paths around the block, then around the lens, all at the safe height.
 
-    outline_mm : corners of a lens that is no rectangle; empty for the aperture
+    outline_mm : corners of a lens that is not a rectangle; empty for the aperture
     """
     lens = np.array(outline_mm, dtype=np.float64) if len(outline_mm) else aperture_corners(stock)
     paths: list[Path] = []
@@ -70,9 +70,9 @@ def offset_loop(corners_mm: Array, radius_mm: float, *, allowance_mm: float = AL
     the end.
 
     corners_mm (k, 2) : counter-clockwise
-    allowance_mm      : kept from the outline beside the radius; more than a digit of the positions
+    allowance_mm      : kept from the outline in addition to the radius; more than a digit of the positions
     returns (n, 2)    : never nearer to the outline than the radius
-    The path passes by a hollow of the outline that the cutter does not fit into. Raises OutlineError if it cannot.
+    The path passes a hollow that the cutter does not fit into without entering it. Raises OutlineError if it cannot.
     """
     away_mm = radius_mm + allowance_mm
     points = _around_each_corner(np.asarray(corners_mm, dtype=np.float64), away_mm)

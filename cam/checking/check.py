@@ -223,7 +223,7 @@ class _Run:
         self.rest = RestAreas.of(before, heightfield, spec) if spec.where == "rest" else None
         self.places = place_windows(heightfield, spec, before)
         self.windows = [removal_of(spec.shape, place.stock, radius_mm=spec.radius_mm) for place in self.places]
-        # A track counts as making the surface if it is no farther above it than this; higher layers do not.
+        # A track counts as part of the surface if it is no farther above it than this; higher layers do not count.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
         if not spec.is_ball:  # it stays farther from a slope, and its rim touches between the sampled points
             self._near_mm = max(self._near_mm * float(np.hypot(1.0, heightfield.steepest)), spec.step_down_mm / 2)

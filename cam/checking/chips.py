@@ -2,9 +2,10 @@
 stock, and compares it with the band of the material.
 
 Cutter makers tabulate the feed per tooth, so this is compared with their bands. The chip itself is
-thinner: a ball of radius R that is a deep cuts at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2, 0.36
-where a finish takes R / 15 off; makers' figures for such cuts take that into account. The feed is the one that the mill
-reaches in the model of the program's time: less than the written feed while it speeds up, brakes or waits for lines.
+thinner: a ball of radius R at a depth of cut a makes at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2,
+0.36 in a finish that takes R / 15 off; makers' figures for such cuts take that into account. The feed is the one that
+the mill reaches in the model of the program's time: less than the written feed while it speeds up, brakes or waits for
+lines.
 """
 
 from __future__ import annotations

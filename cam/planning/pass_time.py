@@ -1,9 +1,9 @@
 """Estimates the time of a pass before it is written: rows at the speed that feed, line rate and look-ahead allow.
 
 `cam.duration` gives the time of a written program; this is within some percent of it, from the lens's form alone. The
-speed of a chord is the least of: the feed; its length times the lines a second; what the look-ahead window, chords of
-that length, can still brake from. Chords are as long as `cam.rows.vertices` allows on the path of the tip, which is the
-lens's curvature offset by the ball.
+speed of a chord is the least of: the feed; its length times the lines a second; the speed from which it can brake
+within the look-ahead window, at chords of that length. Chords are as long as `cam.rows.vertices` allows on the path of
+the tip, which is the lens's curvature offset by the ball.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def _name_encoding(beginning: bytes) -> Phrase | None:
 
 
 class BadTextError(Exception):
-    """Text that is no block; `code` is one of refusals.py."""
+    """Text that is not a block; `code` is one of refusals.py."""
 
     def __init__(self, code: int) -> None:
         self.code = code

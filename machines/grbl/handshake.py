@@ -24,7 +24,7 @@ NAMES = {"grbl": "Grbl", "grblhal": "grblHAL", "fluidnc": "FluidNC"}
 class Handshake:
     """Asks '?' until a report comes, then $I $$ $# $G while the mill stands. A banner begins it anew.
 
-    Owns the banner; what it learns goes into the link.
+    Owns the banner; it stores its findings in the link.
     """
 
     link: GrblLink

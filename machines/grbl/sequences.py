@@ -271,9 +271,7 @@ def describe_settings(settings: ControllerSettings) -> dict[str, object]:
 
 
 def home(settings: ControllerSettings, modes: str) -> CommandSequence:
-    yield Ask(
-        b"$G", expect=PARSER_TAG
-    )  # the `ok` of a probe comes half a second behind its alarm: it does not belong to $H
+    yield Ask(b"$G", expect=PARSER_TAG)  # a probe's `ok` comes half a second behind its alarm: it is not the one of $H
     require_ok((yield Ask(b"$H", longest_homing_s(settings))))
     require_ok((yield WaitStill(REPLY_S)))
     yield from leave_probing(modes)

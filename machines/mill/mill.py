@@ -1,9 +1,9 @@
 """A mill as its owner drives it: one driver, one journal, at most one live run. Single-threaded: `step` does
 everything.
 
-Nothing here moves the mill by itself. A lost link is opened again at growing intervals. Then it sends only queries by
-itself, and a hold or an abort that was ordered while the link was away. Every start and every recovery needs a person's
-confirmation.
+Nothing here moves the mill by itself. A lost link is opened again at growing intervals. After that the only bytes sent
+automatically are queries, and a hold or an abort that was ordered while the link was away. Every start and every
+recovery needs a person's confirmation.
 
 A spindle that a person has switched on by hand is switched off when that person's control ends.
 

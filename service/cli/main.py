@@ -56,9 +56,7 @@ def run(arguments: Sequence[str]) -> int:
         except KeyboardInterrupt:
             interrupted = True
         signals.over = True  # from here on nothing is raised, so that the last message is complete
-        if (
-            isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED
-        ):  # the error itself describes what is left
+        if isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED:  # its message says what is left
             return _report_error(error)
         if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.received):
             # even if an import or a library changed the error; typer also catches Ctrl-C itself, silently

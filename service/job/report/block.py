@@ -26,7 +26,7 @@ _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 class BlockSizes:
     """Sizes of a job's block in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
 
-    outline_mm : corners of a lens that is no rectangle
+    outline_mm : corners of a lens that is not a rectangle
     swept_mm   : left, right, front and back of the area that the cutter's flanks sweep; None before there are programs
     clamps_mm  : left, front, width and depth of each that the spec names
     witness_mm : left, right, front and back of the strip of witness marks
@@ -262,7 +262,7 @@ def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> li
 
 
 def _lens(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """Draw the aperture, and in it the outline of a lens that is no rectangle."""
+    """Draw the aperture, and in it the outline of a lens that is not a rectangle."""
     w, h = scale * block.width_mm, scale * block.height_mm
     if not block.outline_mm:
         return [_box(zero_x, zero_y - h, w, h, _LENS, "#1f2933")]

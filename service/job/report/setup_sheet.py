@@ -261,7 +261,7 @@ def _block_of(
 
 
 def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
-    """Return the corners of a lens that is no rectangle."""
+    """Return the corners of a lens that is not a rectangle."""
     outline = optics.get("outline", "rectangle")
     if outline == "ellipse":
         return ellipse_mm(float(optics["width_mm"]), float(optics["height_mm"]))

@@ -1,4 +1,4 @@
-"""The tables of the job spec that say what is cut, from what, and on which mill: `passes`, `[stock]` and `[machine]`.
+"""The tables of the job spec for the cutting, the block and the mill: `passes`, `[stock]` and `[machine]`.
 
 A row of `passes` has the keys of `cam.passes.PassSpec`, which is made from it. Rows make the lens: presets and plans
 choose them, and they determine the light. Facing and cut-out make the block, independent of the passes.

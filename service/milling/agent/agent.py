@@ -35,7 +35,7 @@ T = TypeVar("T")
 _CALL_S = 60.0
 _SHOWN_S = 0.1  # wait for the state after a stop; if it takes longer, the events report it
 _ORDER_S = GRANT_S + 1.0
-START_S = CARRY_OUT_S + 30.0  # on top of the grant's time, only the journal is waited for
+START_S = CARRY_OUT_S + 30.0  # after the grant's time, only the journal can still delay a start
 
 
 class MillAccess:

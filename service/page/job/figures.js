@@ -51,7 +51,7 @@ export function detailOfPlan(spec, row) {
   return Math.max(pixelMm(spec), 2 * row.blur_mm);
 }
 
-/** What the report says of all programs, in the order in which they are run: facing, passes, marks, cutting out. */
+/** The report's rows of all programs, in the order in which they are run: facing, passes, marks, cutting out. */
 export function programRows(report) {
   const { face, witness, "cut-out": cutOut } = report?.around ?? {};
   return [face, ...(report?.passes ?? []), witness, cutOut].filter(Boolean);
@@ -63,7 +63,7 @@ export function millSeconds(report) {
   return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
 }
 
-/** The first things to know of a job: [[what, figure, words]], as many as are known. predicted: its likeness. */
+/** The main figures of a job: [[what, figure, words]], as many as are known. predicted: its likeness. */
 export function headlines(spec, report, predicted) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
   const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);

@@ -98,7 +98,7 @@ out vec4 colour;
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   if (u_turned) at.x = textureSize(u_light, 0).x - 1 - at.x;
-  float sum = 0.0; // of what triangles smaller than a pixel left beside each other, as specks
+  float sum = 0.0; // of the light that triangles smaller than a pixel left as specks
   for (int k = 0; k < 9; k++) {
     ivec2 off = ivec2(k % 3, k / 3) - 1;
     sum += float((2 - abs(off.x)) * (2 - abs(off.y))) / 16.0 * texelFetch(u_light, clamp(at + off, ivec2(0), textureSize(u_light, 0) - 1), 0).r;

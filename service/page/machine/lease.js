@@ -120,7 +120,7 @@ export class Lease {
     this.operator = operator;
     if (this.since !== since) {
       this.freshUntil = Date.now() + STALE_MS;
-      setTimeout(() => this.link.machine && this.check(this.link.machine), STALE_MS + 50); // what was passed over until then
+      setTimeout(() => this.link.machine && this.check(this.link.machine), STALE_MS + 50); // check the reports that were skipped until then
     }
     this.since = since;
   }

@@ -21,7 +21,7 @@ export class PathSketch {
   }
 
   /**
-   * path: a PathFile whose coarsest level is there; name: of the program of it that runs; lens: {picture, x0, y0, dx, dy},
+   * path: a PathFile whose coarsest level is there; name: of the pass's program that runs; lens: {picture, x0, y0, dx, dy},
    * a canvas of its nodes with the highest y on top, where this pass makes it.
    */
   take(path, name, lens) {

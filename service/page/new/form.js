@@ -22,7 +22,7 @@ const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 /**
  * {own, main, picture: elements; own: what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
- * as the server describes them; last: a row that is no part of the spec.
+ * as the server describes them; last: a row that is not part of the spec.
  */
 export function specForm({ profiles, onChange, planned, last }) {
   const changed = () => {

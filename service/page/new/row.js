@@ -6,7 +6,7 @@ import { isTable, numberOf } from "./spec.js";
 
 /**
  * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}.
- * read() gives the value, undefined if the usual counts; TypeError, with words for the person, if it is not a value.
+ * read() gives the value, undefined for the usual one; TypeError, with a message for the person, if it is not a value.
  * show(undefined) shows the usual. onChange() is called on every change a person makes.
  */
 export function row(field, { onChange, key = field.key }) {

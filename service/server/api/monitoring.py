@@ -257,8 +257,6 @@ class MetricsMiddleware:
         await self._app(scope, receive, send_noted)
 
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
-        route = getattr(
-            scope.get("route"), "path", "none"
-        )  # never the address itself: the number of addresses has no limit
+        route = getattr(scope.get("route"), "path", "none")  # never the address itself: there is no end of addresses
         method = scope["method"] if scope["method"] in _METHODS else "other"
         self._metrics.seconds.labels(method, route, str(status)).observe(seconds)

@@ -10,7 +10,7 @@ has come since. Only the agent validates the contents of an order. Each order is
 agent is asked for the outcome; if the agent does not know it either, a person has to look.
 
 No stop waits for the database before it is sent (`machine_stops`): the machine of a run is remembered, or else all
-agents are asked. Afterwards the run's row is waited for, for a moment.
+agents are asked. Afterwards it waits for the run's row, for a moment.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class ProblemBody(BaseModel):
     status: int
     detail: str
     field: Annotated[str | None, Field(description="the part of the request it is about")] = None
-    code: Annotated[str | None, Field(description="code of the refusal, for programs; missing if there is none")] = None
+    code: Annotated[str | None, Field(description="code of the refusal, for programs, if there is one")] = None
     values: Annotated[dict[str, Any] | None, Field(description="what `detail` names, beside `code`")] = None
     problems: Annotated[list[ProblemField] | None, Field(description="where there are several: all of them")] = None
     phrases: Phrases
