@@ -4,7 +4,7 @@ Nothing of the generator is used here: text -> moves (cam.reading) -> stock left
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
 stated, stock and clamps beside them (`collision`).
-Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
+Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, except for
 the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
 
@@ -86,7 +86,7 @@ class PassCheck:
     rest             : of a rest pass, where it cuts: area_mm2, regions
     starved_s        : of time_s, how long the mill stands because lines come too slowly
     chips            : how long it cuts with chips below, within and above the band of the material
-    cut_bounds       : like bounds, without what goes on in the air: a trace around the block is wider than any cut
+    cut_bounds       : like bounds, without moves in the air: a trace around the block is wider than any cut
     stock_top        : what is left, for the next pass
     """
 
@@ -393,7 +393,7 @@ class _Run:
                     percent=100 * share,
                     place=place,
                 )
-                if share > SEEN_SHARE  # less would be read as nothing
+                if share > SEEN_SHARE  # smaller shares would be shown as 0
                 else Phrase(
                     "the ball of radius {radius_mm:g} mm does not reach into every crease: {place}",
                     radius_mm=self.spec.radius_mm,

@@ -6,7 +6,7 @@ radius a part without an edge would cut it, beyond it the shank strikes it. The 
 simulation (cam.checking.sweep); only stated dimensions of a cutter can be checked.
 
 For clamps the cutter counts as a cylinder from its tip up, as wide as its edges or its shank, whichever is wider.
-Nothing of the stock is needed: a move is near a clamp where the part of it below the clamp's top comes near the box,
+The stock is not needed: a move is near a clamp if its part below the clamp's top comes near the box,
 seen from above.
 """
 

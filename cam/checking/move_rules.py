@@ -78,7 +78,7 @@ class Finding:
         ]
 
 
-_TOUCH_MM = 1e-6  # a drop smaller than this is no cut (rounding)
+_TOUCH_MM = 1e-6  # a drop smaller than this is rounding, not a cut
 _AXES = "xyz"
 
 

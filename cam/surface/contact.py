@@ -165,7 +165,7 @@ def _nodes_on_top(b, cx, cy, level, rows, columns, f):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _level(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """Return f at p, or at the centre where p is no point of the footprint."""
+    """Return f at p, or at the centre if p lies outside the footprint."""
     left = b.radius * b.radius * 0.999 - (px - cx) ** 2 - (py - cy) ** 2
     if left <= 0.0:
         px, py, left = cx, cy, b.radius * b.radius

@@ -37,7 +37,7 @@ OFFER_S = 1.0  # after this time without an answer a person may send a reset
 NOTIFY_SILENCE_S = 3.0  # of silence while a program runs, until the operator is notified
 PERSON_S = 10.0  # until a controller that a person has sent resets to is given up
 REPORT_S = 0.25  # a report is due ten times a second
-TRIPS = 2.0  # round trips that a limit on an answer leaves: the way there and back, and as much again for a worse one
+TRIPS = 2.0  # round trips that a limit on an answer allows: the measured one, and as much again for a slower one
 MOST_LATE_S = 10.0  # no usable link takes longer
 SLOW_LINK_S = 0.25  # a longer round trip is reported to the person
 
@@ -51,7 +51,7 @@ class SilenceClock(RunningTime):
     in the order in which they were made; a report that is here shows that no earlier answer is still on its way.
 
     round_trip_s: travel time of a question and its answer. A longer one counts at once, a shorter one for three
-    quarters. A silence between two reports counts, too: that is how a delay that has grown shows itself.
+    quarters. A silence between two reports counts, too: it shows that the delay has grown.
     """
 
     __slots__ = ("_begun_s", "_reported_s", "heard_s", "notified", "round_trip_s", "unanswered")
@@ -102,7 +102,7 @@ def motion_time_s(step: Step, settings: ControllerSettings, overrides: tuple[int
     """Return the longest time for one move: every block of it from rest to rest, at the rate and acceleration of the
     weakest axis.
 
-    L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for what does not move.
+    L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for a block that does not move.
     """
     if not step.moves:
         return 0.0

@@ -140,7 +140,7 @@ class SimulatedInterpreter:
     offset: Triple = ZERO
 
     def reset(self) -> None:
-        """Begin as after Ctrl-X: G92, G43.1 and modal state are gone; what is in the EEPROM stays."""
+        """Begin as after Ctrl-X: G92, G43.1 and modal state are gone; values in the EEPROM stay."""
         self.modal = dict(_START)
         self.coolant.clear()
         self.feed = self.spindle_rpm = self.tool_length = 0.0
