@@ -72,7 +72,7 @@ def offset_loop(corners_mm: Array, radius_mm: float, *, allowance_mm: float = AL
     corners_mm (k, 2) : counter-clockwise
     allowance_mm      : kept from the outline in addition to the radius; more than a digit of the positions
     returns (n, 2)    : never nearer to the outline than the radius
-    The path passes a hollow that the cutter does not fit into without entering it. Raises OutlineError if it cannot.
+    The path goes past hollows into which the cutter does not fit. Raises OutlineError if that is impossible.
     """
     away_mm = radius_mm + allowance_mm
     points = _around_each_corner(np.asarray(corners_mm, dtype=np.float64), away_mm)

@@ -2,7 +2,7 @@
 
 Several lines cross one cell: the grid need not resolve the pitch. Triangles are listed per line; from any of them the
 line is followed both ways until it closes or ends. Raw points lie where edges are crossed, see `levels`, and most of
-them are left out: the farthest point is kept whose chord passes all points between within the sag.
+them are left out: the next point kept is the farthest one whose chord passes all points between within the sag.
 """
 
 from __future__ import annotations

@@ -124,12 +124,12 @@ class LensForm:
         return _steepness(self, spec.strategy, spec.direction)
 
     def widen_factor(self, spec: PassSpec, reach_mm: float) -> float:
-        """Return how much farther than their slope errors alone the grooves of a pass send light, rms.
+        """Return the factor by which the grooves of a pass spread light farther than their slope errors alone, rms.
 
         reach_mm : how far a slope of 1 deflects light; negative if a hollow focuses it, on a mirror
 
-        A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light is spread over as much
-        by where it starts, and over reach / R of that by its slopes.
+        A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light starts that wide, and its
+        slopes add reach / R of that width.
         """
         return _widen_factor(self, spec.strategy, spec.direction, spec.radius_mm, reach_mm)
 

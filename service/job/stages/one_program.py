@@ -1,5 +1,5 @@
-"""The programs of a job in one file, for controls that change their tools themselves: written from the programs that
-have passed their checks, and read back: it must make the same moves.
+"""Writes the programs of a job in one file, for controls that change their tools themselves, from the programs that
+have passed their checks. The file is read back and must make the same moves.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class Feed:
                 follower.seen = event.seq
                 data = compact_json(event.data | {"at": iso_time(event.at)})
                 self._hub.send(Message(event.kind, data, str(event.seq)), [follower])
-                if whole and event.kind == "ended" and event is events[-1]:  # else it was retried since
+                if whole and event.kind == "ended" and event is events[-1]:  # otherwise it has been retried since
                     self._hub.end(follower)
 
     def _hand_progress(self, follower: Follower, now: Progress) -> None:

@@ -227,7 +227,7 @@ def _characters() -> frozenset[int]:
 
 
 def width_of(text: str, bold: bool, size: float) -> float:
-    """Return how wide a text is."""
+    """Return the width of a text."""
     return size * _ems(text, bold)
 
 
