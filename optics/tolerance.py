@@ -88,7 +88,7 @@ class IndexPoint:
 class Tolerances:
     """focus ascends from near to far, with the design's own throw among it; tilts and sources ascend.
 
-    index          : of a block whose index is higher by as much as it may be; None if that is not known
+    index          : for the greatest index that the block may have; None if that is not known
     focus_range_mm : offsets of the wall, near (negative) and far, at which FOCUS_LOSS_DB of the picture are lost
     blur_mm, _px   : diameter of the disc that the bench's own light makes of a point; 0 for light without size
     """

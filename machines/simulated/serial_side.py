@@ -101,8 +101,8 @@ class SerialSide:
         return inf
 
     def take_line(self) -> bytes:
-        """Return the next line. While the main loop waits for it, its bytes do not stay in the ring: they cannot
-        overflow.
+        """Return the next line. While the main loop waits for it, its bytes do not stay in the ring, so they cannot
+        overflow it.
         """
         ring, incoming = self.ring, self.incoming
         if ring:

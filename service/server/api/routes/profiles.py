@@ -174,7 +174,7 @@ class ToolList(ToolsBody):
 
 @router.get("/v1/tools", tags=["machines"], summary="List the end mills that plans choose among")
 async def get_tools(_: Reader) -> ToolList:
-    """Those of the file tools.toml in the configuration of the server's account; without that file, the usual ones."""
+    """The end mills in tools.toml, in the configuration of the server's account; without that file, the usual ones."""
     return await asyncio.to_thread(_read_tools)
 
 
