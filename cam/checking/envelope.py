@@ -39,6 +39,7 @@ class Reach:
 
     radius_mm       : of the cutter; shank_radius_mm: of what is above its flutes; None: no thicker
     beyond_mm       : how far the axis goes beyond the aperture, along X and along Y
+    strip_mm        : left, right, front and back of all that the axis goes over, where that is not the aperture's area
     lowest_mm       : of its tip
     stick_out_mm    : from tip to collet, as clamped; None: not stated, so as little as it needs
     flute_length_mm : not to be clamped; None: not stated
@@ -47,6 +48,7 @@ class Reach:
     radius_mm: float
     beyond_mm: tuple[float, float]
     lowest_mm: float
+    strip_mm: tuple[float, float, float, float] | None = None
     shank_radius_mm: float | None = None
     stick_out_mm: float | None = None
     flute_length_mm: float | None = None
@@ -123,11 +125,12 @@ class Envelope:
 
     def distance_mm(self, reach: Reach, clamp: Clamp) -> float:
         """Return the distance of a clamp from the rectangle that a tool's axis goes over, seen from above."""
-        sides = (
-            (reach.beyond_mm[0], self.width_mm, clamp.x_mm, clamp.width_mm),
-            (reach.beyond_mm[1], self.height_mm, clamp.y_mm, clamp.depth_mm),
+        (x_mm, y_mm), right_mm, back_mm = reach.beyond_mm, self.width_mm, self.height_mm
+        left, right, front, back = reach.strip_mm or (-x_mm, right_mm + x_mm, -y_mm, back_mm + y_mm)
+        return hypot(
+            max(clamp.x_mm - right, left - clamp.x_mm - clamp.width_mm, 0.0),
+            max(clamp.y_mm - back, front - clamp.y_mm - clamp.depth_mm, 0.0),
         )
-        return hypot(*(max(low - size - beyond, -beyond - low - wide, 0.0) for beyond, size, low, wide in sides))
 
     def find_struck(self, reach: Reach) -> Iterator[tuple[int, float]]:
         """Yield (number, distance from the axis) of the clamps that the cutter or its shank comes too near to."""

@@ -11,7 +11,7 @@ from typing import Any
 from cam.checking.envelope import Envelope, Reach
 from machines.profile import MachineProfile
 from service.job.files import CUT_OUT, FACE, WITNESS, table
-from service.job.spec.envelope import envelope_of, list_reaches, require_envelope
+from service.job.spec.envelope import envelope_of, list_reaches, reach_of_witness, require_envelope
 from service.job.spec.model import JobSpec
 
 
@@ -24,9 +24,8 @@ def reaches_of(spec: JobSpec, report: Mapping[str, Any]) -> dict[str, Reach]:
     found |= {row["file"]: by_key[f"passes.{number}"] for number, row in enumerate(passes)}
     if WITNESS in around:
         row = around[WITNESS]
-        margin_mm, radius_mm = spec.stock.margin_mm, row["settings"]["radius_mm"]
-        low_mm = float(row["bounds"]["z"][0])
-        found[row["file"]] = Reach(radius_mm=radius_mm, beyond_mm=(margin_mm, margin_mm), lowest_mm=low_mm)
+        left, right, front, back = map(float, report["witness"]["box_mm"])
+        found[row["file"]] = reach_of_witness(spec, (left, right, front, back), float(row["bounds"]["z"][0]))
     if CUT_OUT in around:
         found[around[CUT_OUT]["file"]] = by_key["stock.cut_out"]
     return found

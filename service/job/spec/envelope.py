@@ -7,6 +7,7 @@ Width, height and the block are checked as soon as a job is resolved; what depen
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import ceil, floor, inf
 
 from cam.around.specs import BESIDE_MM
@@ -118,6 +119,14 @@ def list_reaches(spec: JobSpec, *, depth_mm: float, lowest_mm: Sequence[float] |
             flute_length_mm=cut_out.flute_length_mm,
         )
     return found
+
+
+def reach_of_witness(spec: JobSpec, box_mm: tuple[float, float, float, float], lowest_mm: float) -> Reach:
+    """Return where the program of the witness marks takes the tool of the last pass: over their strip (left, right,
+    front, back).
+    """
+    tool = list_reaches(spec, depth_mm=0.0)[f"passes.{len(spec.passes) - 1}"]
+    return replace(tool, beyond_mm=(0.0, 0.0), strip_mm=box_mm, lowest_mm=lowest_mm)
 
 
 def find_misfits(
