@@ -13,6 +13,7 @@ from machines.profile import MachineProfile
 from service.job.files import CUT_OUT, FACE, WITNESS, table
 from service.job.spec.envelope import envelope_of, list_reaches, reach_of_witness, require_envelope
 from service.job.spec.model import JobSpec
+from service.job.spec.resolve import tool_key
 
 
 def reaches_of(spec: JobSpec, report: Mapping[str, Any]) -> dict[str, Reach]:
@@ -31,21 +32,37 @@ def reaches_of(spec: JobSpec, report: Mapping[str, Any]) -> dict[str, Reach]:
     return found
 
 
+def _list_tools(spec: JobSpec, around: Mapping[str, Any]) -> list[tuple[object, ...]]:
+    """Return the tool of each program, in the order of `reaches_of`."""
+    stock, made = spec.stock, (*spec.passes, *(spec.passes[-1:] if WITNESS in around else ()))
+    face, cut_out = stock.face if FACE in around else None, stock.cut_out if CUT_OUT in around else None
+    return [tool_key(row) for row in (face, *made, cut_out) if row is not None]
+
+
 def describe_envelope(
     spec: JobSpec, machine: MachineProfile, report: Mapping[str, Any]
 ) -> tuple[dict[str, Any], Envelope, dict[str, Reach]]:
     """Return figures for the report, and what they were taken from. SpecError if a program does not fit after all.
 
-    stick_out_mm : by file; stated: the files whose tool is clamped as the job says, the others are at least so long
+    stick_out_mm : by file; stated: the files whose tool is clamped as the job says, the others are at least so long,
+                   those of one tool as long as the program that needs most
     clamps_mm    : left, front, width and depth of each
     base_mm      : least and greatest height of what the block lies on; None: no bound is known
     """
     reaches, envelope = reaches_of(spec, report), envelope_of(spec, machine)
     lows = [reaches[row["file"]].lowest_mm for row in report.get("passes", ())]
-    require_envelope(spec, machine, depth_mm=0.0, lowest_mm=lows)
+    marks = table(table(report.get("around")).get(WITNESS)).get("file")
+    require_envelope(spec, machine, depth_mm=0.0, lowest_mm=lows, witness=reaches.get(str(marks)))
     least_mm, most_mm = envelope.base_range_mm(reaches.values())
+    tools = _list_tools(spec, table(report.get("around")))
+    longest_mm = dict.fromkeys(tools, 0.0)
+    for tool, reach in zip(tools, reaches.values(), strict=True):
+        longest_mm[tool] = max(longest_mm[tool], envelope.least_stick_out_mm(reach))
     figures = {
-        "stick_out_mm": {file: envelope.stick_out_mm(reach) for file, reach in reaches.items()},
+        "stick_out_mm": {
+            file: longest_mm[tool] if reach.stick_out_mm is None else reach.stick_out_mm
+            for tool, (file, reach) in zip(tools, reaches.items(), strict=True)
+        },
         "stated": [file for file, reach in reaches.items() if reach.stick_out_mm is not None],
         "base_mm": [max(least_mm, 0.0), most_mm if isfinite(most_mm) else None],
         "clamps_mm": [[one.x_mm, one.y_mm, one.width_mm, one.depth_mm] for one in envelope.clamps],

@@ -25,16 +25,21 @@ _CLAMP_BESIDE_MM = 40.0  # how far a clamp of a usual set goes beyond the block,
 
 
 def require_envelope(
-    spec: JobSpec, machine: MachineProfile, *, depth_mm: float, lowest_mm: Sequence[float] | None = None
+    spec: JobSpec,
+    machine: MachineProfile,
+    *,
+    depth_mm: float,
+    lowest_mm: Sequence[float] | None = None,
+    witness: Reach | None = None,
 ) -> None:
-    """Raise SpecError if the passes of a job need more than the mill has. depth_mm : of the lens; lowest_mm : of each
-    pass's tip, with its run-out; None: not known better
+    """Raise SpecError if the programs of a job need more than the mill has. depth_mm : of the lens; lowest_mm : of each
+    pass's tip, with its run-out; None: not known better; witness: of the marks' program, once they have a place
     """
     radii = [row.radius_mm for row in spec.passes]
-    problems = [
-        *find_beyond_travel(spec, machine, radii, depth_mm=depth_mm),
-        *find_misfits(spec, machine, list_reaches(spec, depth_mm=depth_mm, lowest_mm=lowest_mm)),
-    ]
+    reaches = list_reaches(spec, depth_mm=depth_mm, lowest_mm=lowest_mm)
+    if witness is not None:
+        reaches["finish.witness"] = witness
+    problems = [*find_beyond_travel(spec, machine, radii, depth_mm=depth_mm), *find_misfits(spec, machine, reaches)]
     raise_problems(problems)
 
 
