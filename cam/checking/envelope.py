@@ -123,10 +123,14 @@ class Envelope:
         """Return how far a tool sticks out: as stated, or as little as it needs."""
         return self.least_stick_out_mm(reach) if reach.stick_out_mm is None else reach.stick_out_mm
 
+    def area_mm(self, reach: Reach) -> tuple[float, float, float, float]:
+        """Return left, right, front and back of what a tool's axis goes over."""
+        x_mm, y_mm = reach.beyond_mm
+        return reach.strip_mm or (-x_mm, self.width_mm + x_mm, -y_mm, self.height_mm + y_mm)
+
     def distance_mm(self, reach: Reach, clamp: Clamp) -> float:
         """Return the distance of a clamp from the rectangle that a tool's axis goes over, seen from above."""
-        (x_mm, y_mm), right_mm, back_mm = reach.beyond_mm, self.width_mm, self.height_mm
-        left, right, front, back = reach.strip_mm or (-x_mm, right_mm + x_mm, -y_mm, back_mm + y_mm)
+        left, right, front, back = self.area_mm(reach)
         return hypot(
             max(clamp.x_mm - right, left - clamp.x_mm - clamp.width_mm, 0.0),
             max(clamp.y_mm - back, front - clamp.y_mm - clamp.depth_mm, 0.0),

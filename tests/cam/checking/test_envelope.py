@@ -262,7 +262,7 @@ def make_fit(kind: str = "finish") -> tuple[Envelope, Reach, str]:
     """A program for a block with a clamp at its left, on a mill that just has room for it."""
     text = text_of(kind, 12.0, 15.0, raised=False)
     reach = reach_of(kind, text)
-    left, _, front, back = reach.strip_mm or (-reach.beyond_mm[0], 0.0, 0.0, HEIGHT)
+    left, _, front, back = reach.strip_mm or (-reach.beyond_mm[0], WIDTH, 0.0, HEIGHT)
     clamp = Clamp(x_mm=left - 29.0, y_mm=front, width_mm=20.0, depth_mm=back - front, height_mm=10.0)
     envelope = Envelope(
         width_mm=WIDTH, height_mm=HEIGHT, margin_mm=MARGIN, thickness_mm=15.0, safe_z_mm=12.0, travel_z_mm=60.0,

@@ -7,7 +7,9 @@ import pytest
 
 from cam.reading.gcode import LANGUAGES, read_parts
 from service.job.report.envelope import reaches_of
+from service.job.spec.envelope import envelope_of
 from service.job.spec.loading import resolve_spec
+from service.job.spec.resolve import look_up
 from tests.service.job.stages.jobs import StagedJob, staged_job
 
 PROGRAMS = ["face", "rough", "contour", "rest", "witness", "cut-out"]
@@ -40,11 +42,11 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
 @pytest.mark.thorough
 def test_no_program_takes_its_tool_beyond_what_the_rules_count_with(job: StagedJob) -> None:
     """But for the few micrometres that a cut-out keeps from the lens beside its radius."""
-    reaches, optics = reaches_of(job.spec, job.report), job.spec.optics
+    reaches, envelope = reaches_of(job.spec, job.report), envelope_of(job.spec, look_up(job.spec).machine)
     assert list(reaches) == [f"pass-{number}-{name}.nc" for number, name in enumerate(PROGRAMS)]
     for file, reach in reaches.items():
-        (x_mm, y_mm), points = reach.beyond_mm, []
-        left, right, front, back = reach.strip_mm or (-x_mm, optics.width_mm + x_mm, -y_mm, optics.height_mm + y_mm)
+        left, right, front, back = envelope.area_mm(reach)
+        points = []
         for batch in read_parts([[job.bytes(file)]], LANGUAGES["grbl"]):
             points += [batch.start_mm, batch.end_mm]
         low = np.vstack(points)
