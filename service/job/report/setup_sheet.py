@@ -337,12 +337,12 @@ def _tool_changes(passes: Sequence[Mapping[str, Any]], *, has_lengths: bool) -> 
 
 def _describe_top(machine: Mapping[str, Any]) -> Phrase | str:
     """Say what nobody has tried of the way to the head's top, and how the owner finds out."""
-    if machine.get("dialect") != "okuma":
+    if machine.get("dialect") != "okuma" or machine.get("top_z_mm") is None:
         return ""
     return Phrase(
-        "We only guess that G16 H0 goes to machine Z{top_z_mm:g} whatever tool length G56 has set: before the first "
-        "cut run a program without a block on the table, block by block, and see that the head goes up in each G16 "
-        "line.",
+        "We only guess that G16 H0 goes to machine Z{top_z_mm:g} while a tool length (G56) is in force: before the "
+        "first cut run a program without a block on the table, block by block, and see that the head goes up in each "
+        "G16 line.",
         top_z_mm=machine["top_z_mm"],
     )
 

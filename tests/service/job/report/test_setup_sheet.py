@@ -271,7 +271,7 @@ def test_the_owner_of_an_osp_is_asked_to_try_what_we_only_guess():
         machine = {"dialect": dialect, "top_z_mm": 455.0}
         return Page(render_report(REPORT, spec=SPEC | {"machine": machine})).text
 
-    assert "We only guess that G16 H0 goes to machine Z455 whatever tool length" in text("okuma")
+    assert "We only guess that G16 H0 goes to machine Z455 while a tool length" in text("okuma")
     assert "G16" not in text("fanuc")
 
 
