@@ -40,6 +40,7 @@ class Reach:
 
     radius_mm       : of the cutter; shank_radius_mm: of the shank above its flutes; None: no thicker
     beyond_mm       : how far the axis goes beyond the aperture, along X and along Y
+    strip_mm        : left, right, front and back of all that the axis goes over, where that is not the aperture's area
     lowest_mm       : of its tip
     stick_out_mm    : from tip to collet, as clamped; None: not stated, so as little as it needs
     flute_length_mm : not to be clamped; None: not stated
@@ -48,6 +49,7 @@ class Reach:
     radius_mm: float
     beyond_mm: tuple[float, float]
     lowest_mm: float
+    strip_mm: tuple[float, float, float, float] | None = None
     shank_radius_mm: float | None = None
     stick_out_mm: float | None = None
     flute_length_mm: float | None = None
@@ -122,13 +124,18 @@ class Envelope:
         """Return how far a tool sticks out: as stated, or as little as it needs."""
         return self.least_stick_out_mm(reach) if reach.stick_out_mm is None else reach.stick_out_mm
 
+    def area_mm(self, reach: Reach) -> tuple[float, float, float, float]:
+        """Return left, right, front and back of what a tool's axis goes over."""
+        x_mm, y_mm = reach.beyond_mm
+        return reach.strip_mm or (-x_mm, self.width_mm + x_mm, -y_mm, self.height_mm + y_mm)
+
     def distance_mm(self, reach: Reach, clamp: Clamp) -> float:
         """Return the distance of a clamp from the rectangle that a tool's axis goes over, seen from above."""
-        sides = (
-            (reach.beyond_mm[0], self.width_mm, clamp.x_mm, clamp.width_mm),
-            (reach.beyond_mm[1], self.height_mm, clamp.y_mm, clamp.depth_mm),
+        left, right, front, back = self.area_mm(reach)
+        return hypot(
+            max(clamp.x_mm - right, left - clamp.x_mm - clamp.width_mm, 0.0),
+            max(clamp.y_mm - back, front - clamp.y_mm - clamp.depth_mm, 0.0),
         )
-        return hypot(*(max(low - size - beyond, -beyond - low - wide, 0.0) for beyond, size, low, wide in sides))
 
     def find_struck(self, reach: Reach) -> Iterator[tuple[int, float]]:
         """Yield (number, distance from the axis) of the clamps that the cutter or its shank comes too near to."""

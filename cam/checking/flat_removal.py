@@ -37,7 +37,8 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
     first_row, first_row + row_step, ... only.
 
     cutter             : radius, radius of the corner (0 of a flat end), rim: cells nearer to the rim of the end than
-                         that are cut, but do not count; how much lower a rapid straight down counts
+                         that, beside the way or around its ends, are cut but do not count, unless a later move goes
+                         farther over them; how much lower a rapid straight down counts
     stock              : (ceiling, tile, shank reach, flutes, shank ceiling), see `cam.checking.sweep`
     visit              : path length so far (1,); for each cell the length at its last cut, and its height when that cut
                          began
@@ -101,9 +102,13 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
                 seen[j, i] = way[0]
                 tally[k, REACH] = max(tally[k, REACH], top[j, i] - az - slope * at)
                 tally[k, LEFT if dy * ex > dx * ey else RIGHT] += off * cell * cell
-                top[j, i] = height
                 by_line[j, i] = line[k]
-                if begun[j, i] - height > drops[k] and half2 > rim * (2.0 * radius - rim):
+                past = u - min(max(u, 0.0), length)
+                if half2 - past * past <= rim * (2.0 * radius - rim):
+                    top[j, i] = height + 2.0 * _SLIVER_MM  # a move that goes farther over the cell finds it again
+                    continue
+                top[j, i] = height
+                if begun[j, i] - height > drops[k]:
                     drops[k] = begun[j, i] - height
                     places[k] = j * nx + i
 

@@ -73,6 +73,8 @@ FANUC = Post(
     number_every=100,
 )
 # G15 H1 to H6 are what G54 to G59 are elsewhere, G16 H0 is G53: machine coordinates for one block. The dwell is by F.
+# That G16 H0 leaves the length of G56 out, as G53 does elsewhere, is a guess: Autodesk's Okuma posts retract by it with
+# G56 active (newer ones to Z=VPSLZ, the soft limit); no manual that says so was found. The setup sheet asks to try it.
 OKUMA = Post(
     name="okuma",
     suffix=".min",

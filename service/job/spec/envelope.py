@@ -7,6 +7,7 @@ Width, height and the block are checked as soon as a job is resolved; the rest w
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import ceil, floor, inf
 
 from cam.around.specs import BESIDE_MM
@@ -24,16 +25,21 @@ _CLAMP_BESIDE_MM = 40.0  # how far a clamp of a usual set goes beyond the block,
 
 
 def require_envelope(
-    spec: JobSpec, machine: MachineProfile, *, depth_mm: float, lowest_mm: Sequence[float] | None = None
+    spec: JobSpec,
+    machine: MachineProfile,
+    *,
+    depth_mm: float,
+    lowest_mm: Sequence[float] | None = None,
+    witness: Reach | None = None,
 ) -> None:
-    """Raise SpecError if the passes of a job need more than the mill has. depth_mm : of the lens; lowest_mm : of each
-    pass's tip, with its run-out; None: not known better
+    """Raise SpecError if the programs of a job need more than the mill has. depth_mm : of the lens; lowest_mm : of each
+    pass's tip, with its run-out; None: not known better; witness: of the marks' program, once they have a place
     """
     radii = [row.radius_mm for row in spec.passes]
-    problems = [
-        *find_beyond_travel(spec, machine, radii, depth_mm=depth_mm),
-        *find_misfits(spec, machine, list_reaches(spec, depth_mm=depth_mm, lowest_mm=lowest_mm)),
-    ]
+    reaches = list_reaches(spec, depth_mm=depth_mm, lowest_mm=lowest_mm)
+    if witness is not None:
+        reaches["finish.witness"] = witness
+    problems = [*find_beyond_travel(spec, machine, radii, depth_mm=depth_mm), *find_misfits(spec, machine, reaches)]
     raise_problems(problems)
 
 
@@ -118,6 +124,14 @@ def list_reaches(spec: JobSpec, *, depth_mm: float, lowest_mm: Sequence[float] |
             flute_length_mm=cut_out.flute_length_mm,
         )
     return found
+
+
+def reach_of_witness(spec: JobSpec, box_mm: tuple[float, float, float, float], lowest_mm: float) -> Reach:
+    """Return where the program of the witness marks takes the tool of the last pass: over their strip (left, right,
+    front, back).
+    """
+    tool = list_reaches(spec, depth_mm=0.0)[f"passes.{len(spec.passes) - 1}"]
+    return replace(tool, beyond_mm=(0.0, 0.0), strip_mm=box_mm, lowest_mm=lowest_mm)
 
 
 def find_misfits(

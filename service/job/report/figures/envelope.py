@@ -22,9 +22,8 @@ def envelope_png(envelope: Envelope, reach: Reach, *, file: str, machine: str, b
     figure = new_figure(10.0, 4.6)
     zero_mm = base_mm + envelope.thickness_mm
     stick_out_mm = envelope.stick_out_mm(reach)
-    left_mm = -reach.beyond_mm[0]
     places = (
-        (left_mm, zero_mm + reach.lowest_mm, f"at its lowest, Z{reach.lowest_mm:.4g}"),
+        (envelope.area_mm(reach)[0], zero_mm + reach.lowest_mm, f"at its lowest, Z{reach.lowest_mm:.4g}"),
         (envelope.width_mm / 2, zero_mm + envelope.safe_z_mm, f"rapids, Z{envelope.safe_z_mm:.4g}"),
     )
     panels = figure.subplots(1, 2, sharey=True)
