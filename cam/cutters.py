@@ -1,6 +1,6 @@
 """Shapes of end mills as numbers: a flat disc with a rounded corner, between a flat end mill and a ball.
 
-The underside of such a cutter rises from its tip as a quarter of a circle of the corner's radius, beyond the flat part.
+Outside its flat part, the underside of such a cutter rises as a quarter circle of the corner's radius.
 A shape determines where stock is removed. A flat cutter only roughs the block (`cam.surface.tool_surface`); balls make
 the lens (`cam.surface.contact`).
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 class CutterShape:
     """The shape of an end mill of any radius.
 
-    name         : as a job says it, and "... end mill" in what a person reads
+    name         : as jobs name it; people read "... end mill"
     corner_share : of the radius that is the corner's: 0 for a flat end mill, 1 for a ball
     pitch_share  : default distance of rows, in radii
     """

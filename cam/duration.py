@@ -2,11 +2,11 @@
 
 Each straight block gets a nominal speed, an acceleration along its direction (the weakest axis decides, as in GRBL)
 and a greatest entry speed from the junction deviation. The planner sees `planner_blocks` - 1 blocks and must be able to
-stop at the end of what it sees, so the entry speed of a block is the least of: its own limit; what the block before can
-accelerate to; what lets every later limit in the window, and the stop at its end, still be met. Blocks cannot start
-before they have arrived over the line (each line takes the longer of its bytes on the wire and the parser's time), and
-a line waits while the buffer is full. While the line starves the planner
-the window in truth shrinks too; that is not modelled, the line rate itself then sets the time.
+stop at the end of what it sees, so the entry speed of a block is the least of: its own limit; the speed that the block
+before can reach; the speed from which every later limit in the window, and the stop at its end, can still be met.
+Blocks cannot start before they have arrived over the line (each line takes the longer of its bytes on the wire and the
+parser's time), and a line waits while the buffer is full. While the line starves the planner the window shrinks as
+well; this is not modelled, because the line rate itself then sets the time.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class Moves(Protocol):
 
 
 class Mill(Protocol):
-    """What a profile says of a mill's motion. planner_blocks: without the slot that is always free, as `$I` reports"""
+    """The motion of a mill as its profile states it. planner_blocks: without the slot that is always free, as `$I`
+    reports
+    """
 
     @property
     def max_rate_mm_per_min(self) -> tuple[float, float, float]: ...
@@ -247,7 +249,7 @@ class DurationModel:
         self.add_batch(batch)
 
     def add_batch(self, batch: Moves) -> Array:
-        """Add a batch; ends [s] of the blocks that are certain now, each once: see `is_block`."""
+        """Add a batch; return the ends [s] of the blocks whose times are now certain, each once: see `is_block`."""
         blocks = np.empty((len(self._waiting) + len(batch), _COLUMNS))
         sent = getattr(batch, "sent_bytes", _NOTHING)
         blocks[: len(self._waiting)] = self._waiting
@@ -283,5 +285,5 @@ class DurationModel:
 
 
 def is_block(batch: Moves) -> np.ndarray:
-    """Return (n,) whether each move of a batch makes a block in the planner: all but those of no length."""
+    """Return (n,) whether each move of a batch makes a block in the planner: all but those of zero length."""
     return (np.diff(batch.points_mm, axis=0) != 0.0).any(axis=1) | (batch.pause_s >= 0.0)

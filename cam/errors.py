@@ -24,7 +24,7 @@ class PassValueError(CamError):
 
 
 class CutterTooLargeError(CamError):
-    """A finishing ball that cannot touch too much of the surface."""
+    """A finishing ball that leaves too much of the surface untouched."""
 
     def __init__(self, *, radius_mm: float, reached_share: float, largest_mm: float, nearly_mm: float) -> None:
         self.radius_mm, self.reached_share = radius_mm, reached_share

@@ -1,9 +1,9 @@
-"""Joins the programs of a job into one, for controls that change their tools themselves (T, M6), and shows that the one
-moves as they do. It streams; nothing here opens a file.
+"""Joins the programs of a job into one, for controls that change their tools themselves (T, M6), and proves that it
+makes the same moves. It streams; nothing here opens a file.
 
-Each program states all that it relies on: modes, tool, length, spindle; and it ends with the head at its top and the
-spindle off. So one text runs after the other as they stand. Only the first keeps the marks of its tape and its name,
-only the last its end, and N words count on.
+Each program sets everything that it depends on: modes, tool, length, spindle; and it ends with the head at its top and
+the spindle off. So the texts can follow one another unchanged. Only the first keeps its tape marks and its name, only
+the last keeps its end, and N words count on.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def find_tool_changes(lines: Iterable[bytes]) -> list[tuple[int, int]]:
 
 
 def hash_moves(batches: Iterable[MoveBatch]) -> str:
-    """Return a digest of all moves: where they end, how fast, at which speed of the spindle, and pauses between them.
-    A stop that takes no time, of a spindle that is off, does not count: at its end a program has one more.
+    """Return a digest of all moves: their ends, feeds and spindle speeds, and the pauses between them. Stopping a
+    spindle that is already off does not count: each program ends with such a stop.
     """
     digests = [hashlib.blake2b() for _ in range(5)]
     for batch in batches:

@@ -17,15 +17,15 @@ USUAL_INDEX = 1.49
 """Of the usual material."""
 
 SLOT_FEED = 0.5
-"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
-between rows and along walls it may.
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides;
+between rows and along walls it sometimes does.
 """
 
 LEAST_FEED = 0.2
-"""Share of the feed below which one that follows the load does not go."""
+"""The least share of the feed to which a feed that follows the load may fall."""
 
 _EVEN_FASTER = 1.5
-"""Share of the feed up to which one that follows the load may rise, even if the band of the chip is narrow."""
+"""The share of the feed to which a feed that follows the load may rise, even if the band of the chip is narrow."""
 
 SPINDLE_SHARE = 0.5
 """Share of a spindle's power that reaches the cutting edge; a guess."""
@@ -57,10 +57,10 @@ class CuttingData:
     def choose_rpm(
         self, feed_mm_per_min: float, flutes: int, *, finishes: bool, spindle_rpm: tuple[float, float]
     ) -> float:
-        """Return the speed at which this feed makes chips within the band, also where a pass slows down: the start
-        value or less, more only where chips would be too thick; within the slowest and fastest of the spindle.
+        """Return the speed at which this feed makes chips within the band, also where a pass slows down: at most the
+        start value unless chips would be too thick, and within the spindle's range.
 
-        finishes : the feed is the same everywhere but in slots; otherwise it follows the load
+        finishes : the feed is the same everywhere except in slots; otherwise it follows the load
 
         One speed for a whole pass: GRBL stops the mill at every new S (grbl issue 633), other controls wait until the
         spindle has got there, and a ball that stands leaves a mark on the lens. A pass therefore gets the speed of its
@@ -84,7 +84,7 @@ class Material:
     label : as a person reads it
     block : what to buy, as the set-up sheet says it
     refractive_index  : of white light, as an eye weighs it; a job may give one of its own
-    index_spread      : how far the index of one sheet may differ from it; None: not known
+    index_spread      : how far the index of a single sheet may differ from it; None: not known
     dispersion        : n_F - n_C; None: not known, and all colours count as one
     haze              : share of the light that it scatters more than 2.5 degrees (ASTM D1003); None: not known
                         a metal has none: it makes mirrors
@@ -128,7 +128,7 @@ class Material:
 def limit_step_down_mm(
     step_down_mm: float, pitch_mm: float, feed_mm_per_min: float, *, removal_mm3_per_min: float
 ) -> float:
-    """Return the step-down, or a smaller one in whole hundredths at which rows keep within that removal rate.
+    """Return the step-down, or a smaller one in whole hundredths at which rows stay within that removal rate.
 
     Shallower layers, not a slower feed: chips that become too thin rub and melt.
     """

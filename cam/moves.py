@@ -1,4 +1,6 @@
-"""Moves of the tool tip, which make a pass before a post-processor turns it into blocks; and heights of rapids."""
+"""Moves of the tool tip, of which a pass consists before a post-processor turns it into blocks; and heights of
+rapids.
+"""
 
 from __future__ import annotations
 

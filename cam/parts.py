@@ -1,10 +1,10 @@
 """Splits one pass into several programs: each is complete, and continues exactly where the one before ended.
 
-Theory of operation: paths are written in slices; where a program has grown to its limit it ends, first choice at a lift
-that is there anyway, second choice outside the aperture, where no light goes, else where it stands. The tool lifts
-straight up from the last point. The next program comes down onto the path a few millimetres before that point, where
-the ball has its own slot to come down in, sinks along the path without touching anything, and cuts the last millimetre
-once more before it goes on: no mark, no gap. Memory does not grow with the pass.
+Theory of operation: paths are written in slices. A program that has grown to its limit ends at the next lift of the
+path, or else outside the aperture, where no light goes, or else where it stands. The tool lifts straight up from the
+last point. The next program comes down onto the path a few millimetres before that point, where the ball has its own
+slot to come down in, sinks along the path without touching anything, and cuts the last millimetre once more before it
+goes on: no mark, no gap. Memory does not grow with the pass.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class PassFrame:
 def programs(
     paths: Iterable[Path], post: Dialect, frame: PassFrame, limits: PartLimits | None = None
 ) -> Iterator[Iterator[bytes]]:
-    """Yield the text of each program, in pieces; one must be read to its end before the next is asked for."""
+    """Yield the text of each program, in pieces; read each to its end before you ask for the next."""
     limits = limits or PartLimits()
     source = _Slices(paths, limits)
     part = 0

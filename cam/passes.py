@@ -36,10 +36,10 @@ class PassSpec:
     strategy          : rows, or one connected path along the contour lines of the lens
     direction         : rows along X or along Y
     link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13): slower,
-                        but every row runs the way that climbs
-    where             : everywhere, or only where the pass before could not reach (cam.rows.rest)
+                        but every row climb-mills
+    where             : everywhere, or only at places that the pass before could not reach (cam.rows.rest)
     flute_length_mm   : length of the cutting edges, from the tip; None: not stated
-    shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
+    shank_radius_mm   : of the shank above the flutes; None: no thicker than the ball
     stick_out_mm      : from the tip to the collet, as clamped; None: as little as the program needs
     max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
     flutes            : cutting edges
@@ -136,7 +136,7 @@ class PassSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clamp:
-    """A box on the block: x_mm, y_mm its lower left corner in the work frame, height_mm how high it stands above Z0."""
+    """A box on the block: x_mm, y_mm: its lower left corner in the work frame; height_mm: its height above Z0."""
 
     x_mm: float
     y_mm: float
@@ -190,12 +190,12 @@ PAPER_PASSES = (
 )
 """The paper's three passes (section 4): radii and pitches 3/0.5, 0.5/0.05, 0.5/0.02 mm.
 
-What each leaves and its step-down are ours. A normal engagement is what the pass before left, on a slope divided by its
-cosine: 0.2 / 0.89 and 0.03 / 0.89 mm at slope 0.5. Deeper spots get layers of their own.
+Stock to leave and step-down are ours. The usual engagement is the stock that the pass before left, divided by the
+cosine of the slope: 0.2 / 0.89 and 0.03 / 0.89 mm at slope 0.5. Deeper spots get extra layers.
 """
 DRAFT_PASSES = (
     ball_pass("rough", radius_mm=3.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.5),
     ball_pass("finish", radius_mm=3.0, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4),
 )
-"""Two quick passes with one 3 mm ball: half a day's picture, not the paper's."""
+"""Two quick passes with one 3 mm ball: a coarser picture than the paper's, in half a day."""
 PRESETS = {"paper": PAPER_PASSES, "draft": DRAFT_PASSES}

@@ -76,7 +76,7 @@ def generate_parts(
     Text comes in pieces of about a megabyte; memory does not grow with the program. Raises CutterTooLargeError,
     StockTooThinError, SafeHeightError or PassValueError before the first piece.
 
-    step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
+    step_mm : above 0 if heights must be in whole steps of the mill; number: of the pass, from 1
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts
     shaped  : the lens will be finished by hand, so errors of these steps alternate from track to track (`cam.shaping`)
     """
@@ -140,7 +140,7 @@ def pass_paths(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     on_progress: Progress | None = None,
 ) -> Iterator[Path]:
-    """Yield moves of one pass between safe heights: layers where the stock asks for them, then the surface.
+    """Yield moves of one pass between safe heights: layers where there is too much stock, then the surface.
 
     The first move is a rapid at safe height: the writer of the program brings the tool up there before it.
     """
@@ -181,7 +181,7 @@ def _paths_along_x(
             on_progress=lambda done: report(share + (1 - share) * done),
         )
     elif plan.exact_rows:
-        if plan.only_between:  # only cusps stand there
+        if plan.only_between:  # only cusps are left there
             spec = replace(spec, feed_mm_per_min=float(most_feed_mm_per_min(spec, heightfield.steepest)))
         polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
         yield from _polyline_paths(polylines, met, above, CUSP_MM + plan.stair_mm, spec, safe_z_mm=safe_z_mm)

@@ -125,7 +125,7 @@ def _divide(line: Array, shortest_mm: float) -> Array:
 
 @njit(cache=True, nogil=True)
 def _keep_apart(line, shortest_mm, kept):  # type: ignore[no-untyped-def]
-    """Mark the first point, the last, and of those between as many as lie apart."""
+    """Mark the first point, the last, and those between that lie far enough apart."""
     last, end = 0, line.shape[0] - 1
     kept[0] = kept[end] = True
     for k in range(1, end):
@@ -138,7 +138,9 @@ def _keep_apart(line, shortest_mm, kept):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _error_owed(m, x, y, ux, uy):  # type: ignore[no-untyped-def]
-    """Sum of the errors of the tracks around (x, y), each by its distance from one in the direction (ux, uy) [mm]."""
+    """Sum the errors of the tracks around (x, y), each weighted by its distance from a track in direction (ux, uy)
+    [mm].
+    """
     reach = int(math.ceil(_FARTHEST * max(ACROSS_MM, ALONG_MM) / CELL_MM))
     column, row = int((x - m.x0) / CELL_MM), int((y - m.y0) / CELL_MM)
     total = 0.0

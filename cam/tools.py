@@ -15,7 +15,7 @@ class Tool:
     """An end mill: a ball, or a flat one, which only roughs.
 
     flute_length_mm : length of the cutting edges, from the tip
-    shank_radius_mm : of what is above the flutes
+    shank_radius_mm : of the shank above the flutes
     stick_out_mm    : from its tip to the chuck
     max_rpm         : fastest speed its maker allows
     cost_class      : 1 cheap, 2 usual, 3 dear; of two equally good ones the cheaper is taken
@@ -39,7 +39,9 @@ class Tool:
         return cutter_shape(self.radius_mm, self.corner_radius_mm) is BALL
 
     def reaches(self, depth_mm: float) -> bool:
-        """Return whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
+        """Return whether the tool can cut that deep beside a wall: a shank thicker than the ball must stay above the
+        block.
+        """
         return self.shank_radius_mm <= self.radius_mm or depth_mm <= self.flute_length_mm
 
 

@@ -64,7 +64,7 @@ def _open(browser: Browser, shop: Shop, address: str = "#/", *, size: str = "wid
 
 
 def _choose(page: Page) -> None:
-    """A small lens, so that it is made within minutes; until the estimate is exact."""
+    """Choose a small lens, so that it is made within minutes; wait until the estimate is exact."""
     with page.expect_response(lambda answer: "exactly=true" in answer.url and answer.ok, timeout=JOB_MS):
         page.locator("input[type=file]").first.set_input_files(PICTURE)
         for label, value in (("Width", "60"), ("Height", "60"), ("Distance to the wall", "200")):
@@ -73,7 +73,7 @@ def _choose(page: Page) -> None:
 
 
 def _take(page: Page, file: Path, *, width: int = WIDTH) -> None:
-    """Write what the window shows, from the top of the page, as good as the size allows."""
+    """Write a picture of the window, from the top of the page, in the best quality that the size limit allows."""
     page.evaluate("() => { document.activeElement?.blur(); scrollTo(0, 0); }")
     shown = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     shown = shown.resize((width, round(shown.height * width / shown.width)), Image.Resampling.LANCZOS)

@@ -38,7 +38,7 @@ def main(jobs: list[Path], output: Path) -> None:
 
 
 def show_wall(job: Path) -> tuple[Image.Image, str]:
-    """Return the light of a job as it will be seen, and its cost."""
+    """Return the light of a job as the viewer will see it, and its cost."""
     report, spec = (json.loads((job / name).read_text()) for name in ("report.json", "spec.json"))
     seen = "as_finished" if report.get("as_finished") else "as_milled"
     hours = f"{duration(sum(row['time_s'] for row in report['passes']))} of milling"

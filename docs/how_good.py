@@ -26,7 +26,7 @@ SIDE, GAP, QUALITY = 480, 16, 82
 
 @dataclass(frozen=True)
 class Lens:
-    """why : for the reader, what keeps the wall from being the picture, and what would bring it closer"""
+    """why : for the reader, why the wall differs from the picture, and how to bring it closer"""
 
     name: str
     title: str
@@ -47,7 +47,7 @@ LENSES = (
         EXAMPLES / "camera.png",
         "--machine grbl",
         """Shapes, tones and the tripod are there; the face and the buildings are soft, and the sky has streaks. The
-streaks are what is left of the mill's rows: its steps of 4 µm are larger than the errors that a wall
+streaks are the remains of the mill's rows: its steps of 4 µm are larger than the errors that a wall
 forgives. Sanding takes most of them off, and with them the finest parts of the picture.""",
     ),
     Lens(
@@ -55,7 +55,7 @@ forgives. Sanding takes most of them off, and with them the finest parts of the 
         "Large, smooth shapes",
         PHOTOGRAPHS / "coffee.png",
         "--machine grbl",
-        """The highest figure of the six: large shapes with soft light on them. What is dark beside a highlight goes
+        """The highest figure of the six: large shapes with soft light on them. Dark parts beside a highlight go
 first: the front of the cup and the spoon are lost. If you may choose a picture, choose one with large
 shapes and no deep shadows.""",
     ),

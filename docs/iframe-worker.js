@@ -1,4 +1,4 @@
-// A browser starts no worker from a file: there, a hidden frame runs the worker's script, so that the search needs no server.
+// A browser starts no worker from a file: a hidden frame runs the worker's script instead, so that the search needs no server.
 if (location.protocol === "file:") {
   window.Worker = class extends EventTarget {
     constructor(url) {

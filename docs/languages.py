@@ -1,7 +1,7 @@
 """Compares the tables of other languages with the sentences in the sources:  python -m docs.languages [--strict]
 
-A sentence without a row is shown in English. It is listed here, as are rows that no sentence has any more; with
---strict, as `make release` asks, either ends with 1.
+A sentence without a row is shown in English. This lists it, and rows that no sentence uses any more; with --strict, as
+in `make release`, either makes the exit code 1.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SAME = re.compile(
     r"|[\w.-]*\.(?:nc|png|toml|zip|html|obj|stl|step|json|bin|path|npz|pdf)\b|\bpass-\d\b"  # files
     r"|\b(?:Ada|Grace|anonymous|astronaut|shop|simulated|portrait|logo|picture-\d+|finish|PMMA|abc|two)\b"
     r"|\bconnected\b"  # in the log, by an agent that has no code for it
-    r"|\b\d{1,2}\. \w{3}\w*|\b\w{3}\w*\.? \d{4}\b"  # dates, which the browser says in its own words
+    r"|\b\d{1,2}\. \w{3}\w*|\b\w{3}\w*\.? \d{4}\b"  # dates, which the browser formats itself
 )
 
 
@@ -85,8 +85,9 @@ def _value_end(source: str, at: int) -> int:
 
 @cache
 def keys_of_the_page() -> frozenset[str]:
-    """Return every text of the page's own: of its modules and its frame, of the form's fields, of pictures' titles, and
-    what every answer about mills says, and so every screen."""
+    """Return every text of the page itself: of its modules and its frame, of the form's fields, of pictures' titles,
+    and of every answer about mills, which every screen shows.
+    """
     sources = [path.read_text("utf-8") for path in FOLDER.rglob("*.js") if path.stem != "language"]
     frame = (FOLDER / "index.html").read_text("utf-8").partition("<noscript>")[0]
     own = {text or label for text, label in re.findall(r'data-t>([^<]+)|aria-label="([^"]+)', frame)}
@@ -130,8 +131,9 @@ def _resolve(field: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def keys_of_the_server() -> frozenset[str]:
-    """Return every template of a phrase that says more than its values, as sources and the library of processes have
-    it."""
+    """Return every template of a phrase that contains more than its values, from sources and the library of
+    processes.
+    """
     found = {one.template for one in built_in_sentences().values()}
     for package in ("optics", "cam", "machines", "service"):
         for path in (TOP / package).rglob("*.py"):

@@ -100,7 +100,7 @@ def main(folder: Path) -> None:
         "site_dir": str((folder.parent / "docs").absolute()),
         "theme": _THEME,
         "extra_css": ["site.css"],
-        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # or the plugin asks the web for one
+        "extra": {"polyfills": ["iframe-worker.js"], "generator": False},  # or the plugin downloads one
         "markdown_extensions": _EXTENSIONS,
         "plugins": ["search", "offline"],  # it is read from files, without a server
         "nav": [{part: [{title: page} for title, page in pages.items()]} for part, pages in NAV.items()],
@@ -118,7 +118,7 @@ def _as_page(text: str) -> str:
 
 
 def _command_lines() -> Iterator[str]:
-    """Yield each command with all that its help says; Typer's own page cuts the sentences of its list."""
+    """Yield each command with its complete help; Typer's own page shortens the sentences of its list."""
     yield "# Commands\n"
     yield "Exit code 0: all went well. 1: the job or the mill failed. 2: the input cannot be used. 130: Ctrl-C.\n"
     found = list(_walk(get_command(app), "causticmill"))

@@ -23,10 +23,10 @@ def suspend_aware_clock_s() -> float:
 
 
 class RunningTime:
-    """Seconds in which we looked: between two looks at most `most_s` count, however far apart they are.
+    """Seconds in which we looked: the time between two looks counts up to `most_s`, however far apart they are.
 
-    most_s  : more than lies between two looks of a healthy loop, and less than any limit held against this time, so
-              that nobody is blamed at the first look after a pause
+    most_s  : more than the time between two looks of a healthy loop, and less than any limit on this time, so that
+              nobody is blamed at the first look after a pause
     spent_s : never decreases
     """
 
@@ -45,7 +45,7 @@ class RunningTime:
 
 
 def make_running_clock(clock: Callable[[], float] = time.monotonic, *, most_s: float = TURN_S) -> Callable[[], float]:
-    """Return a clock of running time, for the owner of a port: all its limits go by it."""
+    """Return a clock of running time for the owner of a port: all its limits use it."""
     running = RunningTime(clock(), most_s=most_s)
     return lambda: running.look(clock())
 

@@ -214,14 +214,14 @@ class Restarted:
 
 @dataclass(frozen=True, slots=True)
 class FrameChanged:
-    """A setting was changed on which machine coordinates rest: the position is not trusted any more."""
+    """A setting that defines machine coordinates was changed: the position is not trusted any more."""
 
     words: Phrase
 
 
 @dataclass(frozen=True, slots=True)
 class CommandDone:
-    """A command ended. `answer` holds what it brought, e.g. the probed position; `failure` is empty on success."""
+    """A command ended. `answer` holds its result, e.g. the probed position; `failure` is empty on success."""
 
     command: Command
     failure: Phrase = NO_WORDS
@@ -344,12 +344,12 @@ class ProbeCorner:
 
     The tool begins over the plate, near the corner, and ends there.
 
-    depth_mm         : down to the plate, at most
+    depth_mm         : greatest way down to the plate
     plate_mm         : thickness of the plate, over the block: Z0 is the block's top
     wall_x_mm        : from the block's left edge out to the face that is touched from the left
     wall_y_mm        : from its front edge out to the face that is touched from the front
     cutter_radius_mm : of the tool, at the height where it touches
-    margin_mm        : X0 Y0 lies so far inside the block's left and front edges
+    margin_mm        : distance of X0 Y0 inside the block's left and front edges
     aside_mm         : left, then forward of the start, where the tool goes down; probed back at most
     below_mm         : under the plate's top, where its sides are touched
     retract_mm       : over the plate's top, where the tool goes across
@@ -401,7 +401,7 @@ class ReadSettings:
 
 @dataclass(frozen=True, slots=True)
 class Spindle:
-    """Switch the spindle on, clockwise, at so many rpm, or off (None). Outside programs only."""
+    """Switch the spindle on, clockwise, at `rpm`, or off (None). Outside programs only."""
 
     rpm: float | None
 
@@ -423,7 +423,7 @@ Require = Callable[[], None]
 """Raises MachineError if an order may not be carried out any more.
 
 A driver calls it when everything else is done and only the write of the order's first bytes is left: no disk, no lock,
-no wait comes between. It calls it once more after the write, and holds the mill where a stop came in that moment. Of a
+no wait comes between. It calls it once more after the write, and holds the mill where a stop came in that moment. For a
 `Travel` it calls it before each leg.
 """
 
@@ -440,7 +440,7 @@ class Driver(Protocol):
     the present state raise NotAllowedError and change nothing.
 
     The first bytes of `start`, `resume` and `command` leave within the call; where `require` raises, none has left and
-    nothing is changed. What a command sends later, before anything moves, is held against `require` again.
+    nothing is changed. Lines that a command sends later, before anything moves, are checked by `require` again.
     """
 
     @property

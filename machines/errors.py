@@ -24,7 +24,7 @@ class MillCode(StrEnum):
     RUN_STATE = "run_state"  # state
     RUN_LIVE = "run_live"
     RUN_UNSTARTED = "run_unstarted"
-    TRAVEL = "travel"  # detail: a line for each way in which the program leaves it
+    TRAVEL = "travel"  # detail: a line for each way in which the program leaves the travel
 
     # Why a run is in its state, in addition to FaultCause (detail, alarm).
     OWNER_LOST = "owner_lost"  # state

@@ -115,7 +115,7 @@ def _require_address(url: str) -> None:
 
 
 def _descriptor(line: Any) -> int:
-    """Return the file behind a line, to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
+    """Return the descriptor to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
     if os.name != "posix":
         return -1
     try:
@@ -192,7 +192,7 @@ def _open_here(name: str) -> bool:
 class SerialPort:
     """A Port over pyserial. One thread reads and writes; `wake` and `write_realtime` may come from any.
 
-    gather_s : once something has come, wait so long for more. A controller's replies come one by one, and handling
+    gather_s : once something has come, wait this long for more. A controller's replies come one by one, and handling
                several in one round halves the processor time; `wake` ends this wait, too
     """
 
@@ -286,6 +286,6 @@ class SerialPort:
         if isinstance(error, serial.SerialTimeoutException):
             return PortLostError(self.url, Phrase("has accepted no bytes for 2 s: unplugged, or switched off"))
         gone = Phrase("gone: cable out, power off or the far end closed")
-        if isinstance(error, OSError) and error.errno:  # pyserial's own words guess
+        if isinstance(error, OSError) and error.errno:  # pyserial's own message only guesses
             gone = Phrase("{what} ({reason})", what=gone, reason=error)
         return PortLostError(self.url, gone)

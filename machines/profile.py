@@ -156,24 +156,24 @@ class MachineProfile:
                              nothing, and programs begin at safe_z_mm
     bed_to_collet_mm       : from the table to the collet's face, with the head at its top; None: not known
     table_mm               : width and depth of the table, along X and Y; None: not known
-    gantry_mm              : from the table to the lowest part that spans it; None: nothing spans it, or not known
-    nose_mm                : what turns above the tool, from the collet's face up, as cylinders (radius, length): nut,
-                             holder; everything above the last is as wide as it
+    gantry_mm              : from the table to the underside of the gantry; None: the mill has none, or it is not known
+    nose_mm                : the turning parts above the tool, from the collet's face up, as cylinders (radius, length):
+                             nut, holder; everything above the last is as wide as it
     guesses                : keys among these figures that nobody has confirmed: programs are written only for a
                              top_z_mm that the owner has stated, the setup sheet asks for the others to be measured
     whole_steps            : heights are written in whole steps, chosen so that the light suffers least
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
     coolant                : air or fluid while a program cuts, one of COOLANTS
-    work_offset            : that programs work in, 1 to 6: G54 to G59, Okuma's G15 H1 to H6
+    work_offset            : used by programs, 1 to 6: G54 to G59, Okuma's G15 H1 to H6
     blend_tolerance_mm     : how far the control may round corners; 0: exact stop; None: as programs usually have it
     high_precision         : mode of the control that programs switch on, one of HIGH_PRECISION
     tool_change            : programs change their tool (T, M6) and take its length from the control's table (G43 H)
     one_program            : a job's programs also come as one, which changes tools in between
     optional_stop          : programs stop before the spindle turns, where the control's switch for it is on (M1)
     units                  : of programs, one of UNITS
-    number_every           : an N word on every so many-th line; None: as the dialect has it
-    warm_up_s              : a job's first program brings the spindle up to speed in steps for so long; 0: at once
+    number_every           : an N word on every n-th line; None: as the dialect has it
+    warm_up_s              : time in which a job's first program brings the spindle up to speed in steps; 0: at once
     trace_outline          : a job's first program goes around block and lens in the air before it cuts
     spindle                : what the spindle does in a hold, and without a link
     homing                 : has switches and a homing cycle, so that a lost position can be found again
@@ -224,8 +224,8 @@ class MachineProfile:
 
 
 def replace_figures(figures: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a profile's figures with one's own in their place. What is known of another travel does not hold for this
-    one, and no figure of one's own is a guess.
+    """Return a profile's figures, overridden by the person's own. Figures that belong to another travel are dropped,
+    and no figure of one's own is a guess.
     """
     (*sides_mm, z_mm), (*own_sides_mm, own_z_mm) = (
         one.get("travel_mm", (0.0,) * 3) for one in (figures, {**figures, **own})

@@ -35,7 +35,9 @@ class UnreadableFileError(ValueError):
 
 
 def read_data(path: Path) -> dict[str, Any]:
-    """Return the tables of a file of data, TOML or by its name JSON. UnreadableFileError says why it cannot be read."""
+    """Return the tables of a data file: TOML, or JSON if its name says so. UnreadableFileError says why it cannot be
+    read.
+    """
     kind, parse = ("JSON", json.loads) if path.suffix.lower() == ".json" else ("TOML", tomllib.loads)
     try:
         with path.open("rb") as file:
@@ -53,7 +55,7 @@ def read_data(path: Path) -> dict[str, Any]:
         data = parse(raw.decode("utf-8-sig"))  # some editors begin a file with a byte order mark
     except UnicodeDecodeError:
         raise UnreadableFileError(Phrase("is not UTF-8 text; save it as UTF-8")) from None
-    except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
+    except (ValueError, RecursionError) as error:  # ValueError itself: an integer with thousands of digits
         cause = " ".join(str(error).split())
         raise UnreadableFileError(Phrase("not valid {kind}: {cause}", kind=kind, cause=cause)) from None
     if not isinstance(data, dict):

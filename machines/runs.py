@@ -53,7 +53,7 @@ TRANSITIONS: dict[RunState, frozenset[RunState]] = {
     _S.STOPPING: frozenset({_S.ABORTED, _S.INTERRUPTED}),
     _S.INTERRUPTED: frozenset({_S.RECOVERING, _S.ABORTED}),
     _S.FINISHED: frozenset(),
-    # A panicked abort at hour 40 must not cost the part: it is known what was cut, so a person may continue.
+    # A panicked abort at hour 40 must not cost the part: the cut lines are known, so a person may continue.
     _S.ABORTED: frozenset({_S.RECOVERING}),
 }
 LIVE = frozenset({_S.RUNNING, _S.HOLDING, _S.HELD, _S.STOPPING, _S.RECOVERING})
@@ -100,8 +100,8 @@ class Confirmation:
 class RunReport:
     """The report of a mill's owner on a run at one moment.
 
-    words         : why it is in this state, for the operator; code, values: the same for programs ("": words are all)
-    lift_mm       : of a dry pass: the program so much higher, spindle off; it cuts nothing. None: the program as it is
+    words         : why it is in this state, for the operator; code, values: the same for programs ("": only words)
+    lift_mm       : of a dry pass: the program raised by this, spindle off; it cuts nothing. None: the program unchanged
     lifted_from   : digest of the program that a dry pass is made from; "" of others
     travel_in_doubt : one of the warnings is that the program may not fit the travel
     executed_line : every line up to this one has certainly been cut

@@ -126,7 +126,7 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
     before
 
     The spline's end condition makes its two outermost cells one cubic, so its outermost coefficients follow from the
-    others, which alone are changed.
+    others; only those are changed.
     """
     coefs = np.ascontiguousarray(lens.spline().coefs[1:-1, 1:-1])
     inv_dx, inv_dy, limit = 1.0 / lens.dx_mm, 1.0 / lens.dy_mm, (1.0 - _ROUNDING) / radius_mm

@@ -152,7 +152,7 @@ class Bench:
 
     @property
     def clear(self) -> Bench:
-        """The bench with a block that is not hazy."""
+        """The bench with a block without haze."""
         return replace(self, haze=0.0)
 
     def add_haze(self, irradiance: Array) -> Array:
@@ -164,7 +164,7 @@ class Bench:
         return scatter(irradiance, self.haze, sigma_px)
 
     def without_each_flaw(self) -> dict[str, Bench]:
-        """Return the bench without each flaw of its block, by name."""
+        """Return, by the name of each flaw of its block, the bench without that flaw."""
         flaws = {"haze": self.clear, "back": replace(self, back=None)}
         return {name: bench for name, bench in flaws.items() if getattr(self, name)}
 
@@ -203,7 +203,7 @@ class Bench:
         """Return the path, less its constant, that spreads the aperture roughly evenly over the screen, at its points
         (broadcast).
 
-        The light goes aside by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
+        The light is displaced by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
         k = 1 - aperture / screen, or 1 + aperture / screen on the inverted branch. The path's gradient is that over
         S = sqrt(|aside|^2 + H^2), for any light; for kx = ky that is the gradient of (kx x^2 + ky y^2 + 2 (ax x + ay
         y)) / (S + S of the centre).
@@ -243,7 +243,7 @@ class Bench:
 def _mix_colours(places: Array, colours: Array) -> Array:
     """Return the colours in an order that favours neither a side nor the middle nor the rim of the disc.
 
-    places (n, 2), colours (n,) ascending, mean 0. Two change places as long as that lowers the correlation.
+    places (n, 2), colours (n,) ascending, mean 0. Pairs are swapped as long as that lowers the correlation.
     """
     x, y = places.T
     sides = np.stack([x, y, x * x + y * y, x * x - y * y, x * y])

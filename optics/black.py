@@ -1,11 +1,11 @@
-"""Finds what makes a picture hard for a lens before the lens is designed (black areas, fine strokes, single dots) and
-advises what helps.
+"""Finds the parts of a picture that are hard for a lens before the lens is designed (black areas, fine strokes, single
+dots), and advises remedies.
 
-Black comes out of creases. On the direct branch these are valleys, and a ball of radius r leaves their bottoms round: a
-bottom of curvature 1/r spreads its light by m + k H / r instead of by M (M: screen over aperture; m: what a flat
-surface spreads it by, 1 of parallel light; H: throw; k = n - 1, or 2 of a mirror), so that black receives
-M / (m + k H / r) of the mean irradiance. On the inverted branch black comes out of ridges, which any ball can cut;
-there the rays cross before the screen, which takes steeper slopes.
+Lenses make black by creases. On the direct branch these are valleys, and a ball of radius r leaves their bottoms round:
+a bottom of curvature 1/r spreads its light by m + k H / r instead of by M (M: screen over aperture; m: the spread by a
+flat surface, 1 for parallel light; H: throw; k = n - 1, or 2 for a mirror), so that black receives M / (m + k H / r) of
+the mean irradiance. On the inverted branch ridges make black, and any ball can cut them; there the rays cross
+before the screen, which takes steeper slopes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Effects of a block on light in addition to its milled side: haze, and a back that is not flat.
 
-Haze is the share of the light that comes through more than 2.5 degrees off its way (ASTM D1003). Makers do not state
-how it is spread: here it is a bell of 10 degrees about each ray, of which 3 % stay within 2.5 degrees.
+Haze is the share of the light that leaves more than 2.5 degrees off its direction (ASTM D1003). Makers do not state how
+it is spread: here it is a Gaussian of 10 degrees about each ray, of which 3 % stay within 2.5 degrees.
 
 Where the back rises, the block is thinner by that much, and light behaves as if its milled side were lower by the same
 amount: exact to the first order of the back's slopes, which are far smaller than those of a lens.
@@ -62,8 +62,8 @@ def lower_facets_by_back(facets: Array, back: Back | None) -> Array:
 
 
 def scatter(irradiance: Array, haze: float, sigma_px: tuple[float, float]) -> Array:
-    """Return irradiance (ny, nx) of which that share is spread over a bell of these standard deviations (y, x); what
-    falls past its edges is lost.
+    """Return irradiance (ny, nx) of which that share is spread over a Gaussian of these standard deviations (y, x);
+    light that falls past its edges is lost.
     """
     down, across = (_bell(count, sigma) for count, sigma in zip(irradiance.shape, sigma_px, strict=True))
     return np.asarray((1.0 - haze) * irradiance + haze * (down @ irradiance @ across))
@@ -71,6 +71,6 @@ def scatter(irradiance: Array, haze: float, sigma_px: tuple[float, float]) -> Ar
 
 @lru_cache(maxsize=4)  # a plan scatters one picture after another
 def _bell(count: int, sigma_px: float) -> Array:
-    """Return the share of each pixel's light that a bell spreads to each other pixel of a line (count, count)."""
+    """Return the share of each pixel's light that a Gaussian spreads to each other pixel of a line (count, count)."""
     away = np.subtract.outer(np.arange(count), np.arange(count))
     return np.asarray(ndtr((away + 0.5) / sigma_px) - ndtr((away - 0.5) / sigma_px))

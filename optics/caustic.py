@@ -3,7 +3,8 @@
 The aperture is cut into small triangles (tubes_per_cell x tubes_per_cell x 2 in each cell of the heightfield). The
 rays through each one's corners are followed exactly, on the C2 spline, and its light is spread evenly over the triangle
 that they span on the screen, by exact area overlap with the pixels. No photons, so no noise; folds add up as they do in
-nature. Not followed: light that meets the surface twice, and what a surface reflects that it should let through.
+nature. Not followed: light that meets the surface twice, and light that a lens surface reflects instead of
+transmitting.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def simulate_caustic(
 
     pixels         : (ny, nx) of the screen
     tubes_per_cell : tubes along each side of a heightfield cell; fewer than 4 flatter the score
-    beams          : into which light from a disc is divided; `Bench.bundle`
+    beams          : number of beams for light from a disc; `Bench.bundle`
     """
     ny, nx = pixels
     light, total, reflected = _trace_light(

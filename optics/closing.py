@@ -58,7 +58,7 @@ def _close(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
 def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> int:
     """Return how many vertices the middle of a ball that touches the rim may lie outside; 0 if the rims are level.
 
-    A rim of slope s is raised by s^2 radius / 2 where the surface ends with it: level is where that is next to nothing
+    A rim of slope s is raised by s^2 radius / 2 if the surface ends there: a rim counts as level if that is negligible
     beside the closing's band.
     """
     steepest = max(
@@ -76,10 +76,11 @@ def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> in
 def close_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     """Return heights (ny, nx) with valleys tighter than radius_mm filled: no second derivative above 1 / radius_mm.
 
-    Along each axis the closing differs from z by up to dx^2 / (4 radius) from the grid alone, which would cost a
-    photograph 6 dB; so a filling d counts as d^2 / (d + band): nearly nothing below that band, all of it but the band
-    above, and smooth (a threshold would leave a crease, the very thing to be closed). Beyond its rim the surface
-    goes on with its slope: else a sloped rim (a larger screen, the inverted branch) is raised by tenths of a mm.
+    Along each axis the grid alone makes the closing differ from z by up to dx^2 / (4 radius), which would cost a
+    photograph 6 dB; so a filling d counts as d^2 / (d + band): nearly nothing below that band, d minus the band above
+    it, and smooth in between (a threshold would leave a crease, which closing has to remove). Beyond its rim the
+    surface goes on with its slope: else a sloped rim (a larger screen, the inverted branch) is raised by tenths of a
+    mm.
     """
     closed = _close(z_mm, radius_mm, dx_mm, dy_mm)
     beyond = _beyond_rim(z_mm, radius_mm, dx_mm, dy_mm)

@@ -5,7 +5,7 @@ is never below the surface, its pressure q (mean 1) is never negative, and there
 
     u >= z,  q >= 0,  (u - z) q = 0                                 (Signorini's conditions)
 
-Removal is proportional to pressure and sliding (Preston), so a mean depth D takes D q off each place. The pad's
+Removal is proportional to pressure and sliding (Preston), so a mean depth D removes D q at each place. The pad's
 compliance follows from the finish's own transfer function H: in a step of the part f of D it is A = f D / (1 - H^f).
 That is an implicit step of Preston's law, and touching everywhere leaves exactly H^f of each wave. (For exp(-k/k0) and
 many steps A is D k0/k: the elastic half space, 2P/(E k). A wave is touched down to its valleys while its height is less

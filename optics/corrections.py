@@ -34,8 +34,9 @@ _TUBES_PER_PIXEL = 4
 class ClosingCost:
     """Loss of picture quality by shaping the lens for a ball of radius_mm, before polish.
 
-    With: of the best pass. Without: an estimate, the score with plus the difference that shaping makes in the first
-    pass. In tests where the lens without shaping was also corrected, the estimate was within 0.5 dB.
+    The scores with shaping are those of the best pass. The scores without it are an estimate: the scores with shaping
+    plus the difference that shaping makes in the first pass. In tests where the lens without shaping was also
+    corrected, the estimate was within 0.5 dB.
     """
 
     radius_mm: float

@@ -21,7 +21,7 @@ from phrases.phrase import Phrase
 if TYPE_CHECKING:
     from optics.paper.flow import PaperFlow
 
-_DEAR_DB = 3.0  # a closing that costs more is worth a sentence
+_DEAR_DB = 3.0  # a closing that costs more is reported
 _DEAR_LEAK = 0.01
 
 

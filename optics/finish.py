@@ -3,13 +3,13 @@
 z_finished(k) = H(k) z_milled(k) - depth with H(k) = exp(-(k / k0)^order), k in rad/mm. Sanding between grits is
 diffusion (order 2), a soft pad removes in proportion to its pressure (Preston; order 1), a film of lacquer levels under
 its surface tension (Orchard; order 4). H holds for marks; the form of a lens, millimetres high over centimetres, is
-longer than the hand tool, which follows it: where a pad would have to take off more than its own depth it merely loses
+longer than the hand tool, which follows it: where a pad would have to take off more than its own depth it only loses
 contact. So waves much longer than the tool keep their height.
 
-A film (lacquer, melt, swollen skin) wets all of the surface: the law is linear and keeps the volume, since H is 1 at
-k = 0; a coat adds the same everywhere. A pad or paper only takes material off: where H z - depth would lie above z it
-bridges the surface, and the law is that of `optics.contact`, whose limit for small marks is H. It bridges creases, the
-foot of steep walls, and the space behind rims; there nothing is smoothed however long one works.
+A film (lacquer, melt, swollen skin) wets all of the surface: the law is linear and keeps the volume, because H is 1 at
+k = 0; a coat adds the same thickness everywhere. A pad or paper only takes material off: where H z - depth would lie
+above z it bridges the surface, and the law is that of `optics.contact`, whose limit for small marks is H. It bridges
+creases, the foot of steep walls, and the space behind rims; there it smooths nothing, however long the work takes.
 
 A low pass needs the surface beyond its end: the lens is continued by its run-out, and the whole is mirrored at its end
 (cosine transform), far enough away to have no effect. Nothing else around the lens is modelled: a pad is assumed to go
@@ -66,12 +66,14 @@ class Finish:
 
     @property
     def reach_mm(self) -> float:
-        """How far from a rim, a step or the end of the cut the finish rounds: 3 sigma, exact for order 2."""
+        """Distance from a rim, a step or the end of the cut within which the finish rounds: 3 sigma, exact for order
+        2.
+        """
         return _SIGMAS * math.sqrt(2.0) / self.k0_rad_per_mm
 
     @property
     def seen_beyond_mm(self) -> float:
-        """How far beyond the rim the surface affects the result, and has to continue."""
+        """Distance beyond the rim within which the surface affects the result, and must continue."""
         return _BEYOND * self.reach_mm
 
     def transfer(self, k_rad_per_mm: Array) -> Array:
@@ -84,7 +86,9 @@ class Finish:
         return np.asarray(form + (1.0 - form) * self.transfer(k_rad_per_mm))
 
     def multipliers(self, shape: tuple[int, int], spacing_mm: tuple[float, float]) -> Array:
-        """Return `kept` of each wave of a cosine transform (type 1) of a grid (ny, nx); spacing of rows and columns."""
+        """Return `kept` for each wave of the cosine transform (type 1) of a grid (ny, nx) with this spacing of rows and
+        columns.
+        """
         down, across = (math.pi * np.arange(n) / ((n - 1) * d) for n, d in zip(shape, spacing_mm, strict=True))
         return self.compute_kept(np.hypot(down[:, None], across[None, :]))
 

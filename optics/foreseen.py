@@ -1,7 +1,7 @@
 """Sharpens a picture to compensate for the blur of milling, so that the milled lens shows it correctly.
 
 Rows of a ball leave slopes even in +-pitch / 2R, so they spread each point of the picture evenly over a line: a box.
-Landweber's iteration: a <- max(floor, a + B(t - B a)), B that blur, which is its own transpose. It stops early: each
+Landweber's iteration: a <- max(floor, a + B(t - B a)), where B is the blur, its own transpose. It stops early: each
 step restores finer detail but needs more contrast, which valleys under a ball cannot give.
 """
 
@@ -66,7 +66,7 @@ def _spread(picture, down, across, beside, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _spread_across(picture, half, inner, ends, out):  # type: ignore[no-untyped-def]
-    """Spread along the rows as `_spread_down` spreads down the columns."""
+    """Spread along the rows, as `_spread_down` does down the columns."""
     if inner == 1.0:
         out[:] = picture
         return

@@ -18,11 +18,11 @@ class LensSettings:
     """The optical task.
 
     skim_mm            : depth of the lens's highest point under Z0
-    corrections        : passes that add to the aim what the simulated light lacked
+    corrections        : passes that add to the aim the light that the simulation lacked
     min_radius_mm      : valleys tighter than a ball of this radius are filled; 0 leaves them
     vertices_per_pixel : heightfield vertices along the side of a pixel
     polish_steps       : steps of the descent on the picture's own error, after the corrections; 0 is none
-    finish             : what is done to the lens after milling, for which it is descended on in any case; None: nothing
+    finish             : the finish after milling; the lens is always polished for it; None: no finish
     creases            : concave creases as sharp as the grid shows, on vertices twice as close: for black areas, and
                          for a lens that no ball has to cut. min_radius_mm then does not apply
     """

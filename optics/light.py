@@ -1,10 +1,10 @@
 """The light that falls on the lens: a person's description of it, and the beams that kernels follow.
 
 A lens is lit through its flat face, a mirror from above. A *beam* comes from one direction or from one point; light
-from a disc (the sun, a lamp of some size) or of several colours is a bundle of beams of equal strength. Of a beam at a
-surface point (x, y, z) the kernels want: its direction, its phase (index times the way so far, less a constant), and
-where it crossed the *face*, the plane on which its strength is known. Light keeps its amount from the face to the
-surface, so that no kernel needs to know how it thins out on the way.
+from a disc (the sun, a lamp of some size) or of several colours is a bundle of beams of equal strength. At a surface
+point (x, y, z) the kernels need a beam's direction, its phase (index times the path so far, less a constant), and the
+place where it crossed the *face*, the plane on which its strength is known. The amount of light is the same on the face
+and on the surface, so no kernel needs to know how it spreads on the way.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ class Light:
         return self.radius > 0
 
     def width_rad(self, *, glass_mm: float) -> float:
-        """Return the angular diameter behind the face, through as much glass as light needs for glass_mm of air."""
+        """Return the angular diameter behind the face, through the thickness of glass that is equivalent to glass_mm of
+        air.
+        """
         return 2 * self.radius / (self.distance_mm + glass_mm) if self.is_point else 2 * self.radius
 
     def spread_mm(self, throw_mm: float) -> float:
@@ -160,7 +162,7 @@ def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float,
     wide = math.sqrt(1.0 + w * w)
     sine = w / wide / beam.refractive_index
     cosine = math.sqrt(1.0 - sine * sine)
-    phase = away * wide + beam.refractive_index * depth / cosine  # holds on under the face, where iterates may go
+    phase = away * wide + beam.refractive_index * depth / cosine  # stays valid under the face, where iterates may go
     return (
         ex * sine, ey * sine, cosine, phase - beam.offset,
         beam.x + ex * outside, beam.y + ey * outside,
@@ -171,7 +173,7 @@ def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float,
 def strength_on_face(beam: Beam, x: float, y: float) -> float:
     """Return light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on.
 
-    NaN where x or y is not finite: of such a place no cell of the profile can be named.
+    NaN where x or y is not finite: such a place is in no cell of the profile.
     """
     if not math.isfinite(x + y):
         return math.nan

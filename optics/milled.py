@@ -3,7 +3,7 @@
 A facet is a small plane or curved quadrilateral, given by place and slope at its corners. The rays through its corners
 are followed exactly; its light is spread evenly over the polygon that they span on the screen, by exact coverage of the
 pixels. The light of neighbouring facets across a track lands far apart (a groove of radius R throws light over pitch /
-R x the distance to the wall), so points would give noise where areas are exact. Facets are cut off at the aperture's
+R x the distance to the wall), so points would give noise, while areas are exact. Facets are cut off at the aperture's
 rectangle.
 """
 
@@ -132,7 +132,7 @@ def _spread(acc, x, y, area, light):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spread_polygon(acc, x, y, count, light):  # type: ignore[no-untyped-def]
-    """Spread light evenly over a polygon on the screen [pixels]; False if a corner is NaN: none arrives.
+    """Spread light evenly over a polygon on the screen [pixels]; False if a corner is NaN: no light arrives.
 
     A quadrilateral whose sides cross is spread as its two triangles, half of the light each: its own area would cancel.
     """
@@ -157,7 +157,7 @@ def _paint(
     room = 2 * _MOST_CORNERS
     corners, spare = np.empty((room, 5)), np.empty((room, 5))
     hit_x, hit_y, face_x, face_y = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    four = facets.shape[1]  # a plain 4 is a type of its own to numba: all would be compiled twice
+    four = facets.shape[1]  # a plain 4 is another type for numba: all would be compiled twice
     total = lost = 0.0
     for f in range(facets.shape[0]):
         for k in range(4):

@@ -27,10 +27,11 @@ _ENOUGH = 20_000  # slopes of a sample, enough for their distribution
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Deviations:
-    """Of a milled surface from its lens, over its area: rms of slopes, and of where light arrives; x, y and both.
+    """Deviations of a milled surface from its lens: rms of slopes, and of the places where light arrives; x, y and
+    both.
 
-    slopes (about n, 2) : by which slopes are off, each the mean of equally much of the area. Parts are divided by their
-                          slope in x, each of these by that in y, by more where slopes differ more
+    slopes (about n, 2) : errors of slopes, each the mean over an equal part of the area. Parts are divided by their
+                          slope in x, each of these by that in y, and more finely where slopes differ more
     """
 
     slope_x_mrad: float
@@ -51,7 +52,7 @@ class Deviations:
 def deviations(
     samples: Iterable[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int], *, slopes: int = 1
 ) -> Deviations:
-    """Return the deviations of facets (n, 4, 5), about so many of their slopes; those beyond the aperture do not
+    """Return the deviations of facets (n, 4, 5), with about `count` of their slopes; facets beyond the aperture do not
     count.
     """
     aim, beam = aim_at(bench, pixels), bench.beam()
@@ -113,7 +114,8 @@ def _areas(facets: Array) -> Array:
 
 
 def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heightfield, bench: Bench) -> Array:
-    """Return the design's light (ny, nx) as a surface like the samples would show it: a second instead of a minute.
+    """Return the design's light (ny, nx) as a surface like the samples would show it; takes a second instead of a
+    minute.
 
     samples : (n, 4, 5) facets each, of some squares of the milled surface. Their deflection of light relative to the
     lens gives the blur kernel, the same everywhere; their effect on even light gives grain and stripes, repeated over

@@ -7,7 +7,7 @@ the light of the finished surface by flux tubes.
 A pad bridges the creases that make black. Its removal is far from linear there and depends on every height nearby. So
 `touch` computes the exact finish of the lens at intervals; in between, the model is the linear law for heights mirrored
 at the rims, plus what contact and run-out added to it at the last touch. A descent would then deepen dark creases until
-the pad leaves them, and they show as black shards with bright edges. So E also counts each place from which the linear
+the pad leaves them, and they show as black shards with bright edges. So E also penalises each place where the linear
 law takes off less than a tenth of the mean, and less than at the last touch. (`chelsea`, 60 mm, felt: 25.3 dB without
 it, 25.9 with it, 24.8 and 26.5 after too little work.) Heights are not changed where the pad bridges, nor at the rims:
 the run-out extends the slope there over millimetres, and with that lever a descent would bend the outermost vertices,
@@ -33,7 +33,7 @@ DESIGN_BEAMS = 7  # of an extended light, while a lens is designed for it
 _OFF_K0, _OFF_ORDER = (0.8, 1.25), (0.75, 1.25)  # times the plan: the spread of finishing by hand
 _OFF_WEIGHT = 0.15  # of each of them
 _LEAST_OFF = 0.1  # of the mean removal, that a pad has to take off everywhere
-_UNPRESSED = 30.0  # cost of a lack of it, squared, in the unit of E and per vertex; 10 and 100 show the same
+_UNPRESSED = 30.0  # weight of the squared lack of it, per vertex, in the unit of E; 10 and 100 give the same result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ def outcomes_of(finish: Finish | None) -> list[Outcome]:
 
 
 class FinishedHeights:
-    """A lens's heights after each of several finishes, and the transpose of what depends on the heights.
+    """A lens's heights after each of several finishes, and the transpose of that map.
 
     lens : its axes and run-out. finishes : None leaves the heights as they are
     """
@@ -91,7 +91,7 @@ class FinishedHeights:
         return [0.5 * _UNPRESSED * float(np.square(lack).sum()) for lack in self._lacks]
 
     def touch(self, z_mm: Array) -> Mask:
-        """Recompute what run-out and contact add; return where the first finish's pad bridges: (ny, nx) of bool."""
+        """Recompute the terms of run-out and contact; return where the first finish's pad bridges: (ny, nx) of bool."""
         lens, hangs = replace(self._lens, z_mm=z_mm), np.zeros(z_mm.shape, dtype=np.bool_)
         for number, (finish, kept) in enumerate(zip(self._finishes, self._kept, strict=True)):
             if finish is None or kept is None:
@@ -106,7 +106,9 @@ class FinishedHeights:
         return hangs
 
     def transpose(self, gains: Sequence[Array], weights: Sequence[float]) -> Array:
-        """Return (ny, nx) gain by the heights, of the gain by the heights after each finish and of `weigh_lacks`."""
+        """Return (ny, nx) the gradient with respect to the heights, from the gradients after each finish and
+        `weigh_lacks`.
+        """
         by_heights, waves = np.zeros_like(self._nodes), np.zeros_like(self._nodes)
         each = zip(self._finishes, self._kept, self._lacks, gains, weights, strict=True)
         for finish, kept, lack, gain, weight in each:
@@ -122,14 +124,14 @@ class FinishedHeights:
 
 
 def _divide_removal(z_mm: Array, levelled_mm: Array, depth_mm: float) -> Array:
-    """Return (ny, nx) what the linear law takes off, over its mean."""
+    """Return (ny, nx) the removal by the linear law, over its mean."""
     return np.asarray((z_mm - levelled_mm) / depth_mm + 1.0)
 
 
 class MeanError:
     """E of heights, with that many tubes per cell side.
 
-    Behind a finish in the mean colour: white blurs `camera` by less there than what the finish leaves. (256 pixels,
+    Behind a finish it uses the mean colour: there white light blurs `camera` less than the finish itself. (256 pixels,
     felt, k0 2.05: white scores 0.1 dB more than one wavelength, whether the descent saw white or not.)
 
     `touch`, then `of`, then the gradient at the same heights

@@ -1,7 +1,7 @@
 """The lens's outline within its aperture: a rectangle, or the polygon that the block is cut to.
 
-The frame goes onto the rim of the outline's convex hull. What lies between an outline that is not convex (a star, a
-crescent) and its hull is made dim.
+The frame goes onto the rim of the outline's convex hull. The area between an outline that is not convex (a star, a
+crescent) and its hull gets little light.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm
     """Return heights (my, mx) that are smooth outside the outline, and nowhere above the greatest height inside and
     around it.
 
-    What the map does not reach is cut away; were it the highest, the lens would lie deeper than it was designed for.
-    The margin is there because the spline inside feels it.
+    Places that the map does not reach are cut away; if one of them were the highest, the lens would lie deeper than
+    designed. A margin stays, because it affects the spline inside.
     """
     if bench.outline_mm is None:
         return t
@@ -91,7 +91,7 @@ def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm
     outside = distance_transform_edt(np.logical_not(is_inside(_hull(bench), x_mm, y_mm)))  # in cells
     highest = t[outside <= cells].max()
     share = np.clip((outside - cells) / (_BLEND * cells), 0.0, 1.0) ** 2
-    smooth = gaussian_filter(t, 2.0 * cells, mode="nearest")  # run-outs of single rays are ridges, no use to a cutter
+    smooth = gaussian_filter(t, 2.0 * cells, mode="nearest")  # run-outs of single rays are ridges, useless to a cutter
     return np.asarray(np.where(outside <= cells, t, np.minimum(t + share * (smooth - t), highest)))
 
 
@@ -117,8 +117,8 @@ def _area(corners: Array) -> float:
 def dim_outside(beam: Beam, bench: Bench, *, pixels: int) -> Beam:
     """Return the beam, dimmed inside the frame but outside the outline: the finer the grid, the dimmer.
 
-    Only for outlines that are not convex. Light that is as good as absent may be sent anywhere, which leaves
-    the solver without a hold, so a few per cent stay; the corrections see the true outline and make up for them.
+    Only for outlines that are not convex. With no light there the solution would be undetermined, so a few per cent
+    stay; the corrections see the true outline and compensate.
     """
     if share_notched(bench) == 0.0:
         return beam

@@ -5,13 +5,13 @@ Laplacian L changes the light by I (n - 1) H L, so it is A^-1 / (I^2 + delta) A^
 the square root of ((n - 1) H)^2 (L^2 + beta L) (m + eps) / v^2 in cosines. m is how far a pixel averages a wave out,
 v the vertices along its side; beta holds long waves back, which move edges instead of making light. (Measured on
 camera 256: |J dz|^2 is 1.4 to 1.1 times I (n - 1) H L / v at 4 to 128 of 512 half waves, 0.8 at 128-192, 0.05 at
-384-512.) Behind a finish a wave has to be 1 / H as high, up to where that is not worth it.
+384-512.) Behind a finish a wave has to be 1 / H times as high, up to the wave number where that is not worth it.
 Four tubes along a pixel's side overfit their own lattice, so the last steps see six. They also see two colours of white
-light, all others its mean: `camera` 512 has 46.5 dB in white then, 43.7 with one colour in all steps, 48.0 with colours
-in all, which take half as long again. Behind a finish, whose surface is smooth, two do; on a large lens one, on every
-second vertex. But all pixels are seen: half of them do not show the fine bright lines of too little work (`camera` 512,
-k0 x 1.25: 22.8 dB in place of 23.8). If a ball has to fit, that is restored at the end: the descent hardly bends the
-surface, and correcting it costs 0.1 dB.
+light, while all others see its mean: `camera` 512 then has 46.5 dB in white, 43.7 with one colour in all steps, 48.0
+with colours in all, which takes half as long again. Behind a finish the surface is smooth, and two tubes are enough; on
+a large lens one, on every second vertex. But all pixels count: half of them do not show the fine bright lines of too
+little work (`camera` 512, k0 x 1.25: 22.8 dB in place of 23.8). If a ball has to fit, its fit is restored at the end:
+the descent hardly bends the surface, and the correction costs 0.1 dB.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ class PolishRecord:
     """A record of the descent.
 
     steps          : accepted ones
-    psnr_db_*      : before and after, under the light that the lens was designed for, finished as planned; of several
-                     colours few, and behind a finish the mean one (`MeanError`)
+    psnr_db_*      : before and after, under the light that the lens was designed for, finished as planned; with few of
+                     several colours, and behind a finish with the mean one (`MeanError`)
     change_um_rms  : how far the vertices moved, root mean square, a common lift left out
     seconds        : wall time
     """
@@ -125,7 +125,7 @@ class _Point:
 
 
 class _Preconditioner:
-    """The first inverse Hessian: P g = A^-1 / (I^2 + delta) A^-T g, I as at the heights that the error saw last.
+    """The first inverse Hessian: P g = A^-1 / (I^2 + delta) A^-T g, with I at the heights of the last evaluation.
 
     free : 0 where heights are left alone, 1 elsewhere; (ny, nx), or one for all
     """
@@ -185,12 +185,12 @@ def polish_lens(
     as_planned: bool = False,
     on_progress: Callable[[float], None] | None = None,
 ) -> tuple[Heightfield, PolishRecord]:
-    """Return the lens (its top where it was) after at most that many steps of descent, and a record of them.
+    """Return the lens, its top unchanged, after at most `steps` steps of descent, and a record of them.
 
     target     : (ny, nx), work frame, mean 1
     ball_mm    : radius of the ball that must still fit afterwards; 0 if none has to
     finish     : after milling: the pictures are those behind it
-    as_planned : only for the finish that is planned, not for its other outcomes: a quick look
+    as_planned : optimise only for the planned finish, not for its other outcomes: a quick look
 
     The lens is returned unchanged if finer tubes show no gain, or no gain as planned.
     """
@@ -343,6 +343,6 @@ def _step(error: MeanError, point: _Point, memory: Memory, inverse: _Preconditio
             moved = _Point(z, value, error.gradient())
             memory.learn(length * direction, moved.gradient - point.gradient)
             return moved
-        bend = value - point.error - length * slope  # of the parabola through what is known
+        bend = value - point.error - length * slope  # the minimum of the parabola through the known values
         length *= min(0.5, max(0.1, -slope * length / (2 * bend))) if math.isfinite(bend) else 0.1
     return None

@@ -3,12 +3,12 @@
 Theory of operation: three guided filters split the picture's lightness into layers (He, Sun, Tang 2010) of
 growing window, 0.75, 3 and 9 times the smallest detail that shows. They smooth structure fainter than an edge and leave
 strong edges in the base, so that raised layers have no visible halo. The layer above the detail is raised most; the
-finer one is raised too, because the wall's blur takes most of it, and the rest is the sharpness of eyes and mouths. The
-tones of the base are stretched where the layers are busy, at the cost of even areas (sky, wall, coat): a partial
-histogram equalisation with a limited slope (Pizer 1987), weighted by structure (Ward 1997). Tones beyond black and
-white are then compressed softly, because scaling everything down would cost the contrast gained. Gains, windows and
-limits were chosen on blurred, grainy walls of photographs, by structural similarity to the original with its local
-contrast normalised, by the contrast of faces alone, and by looking at them.
+finer one is raised too, because the wall's blur removes most of it, and the rest makes eyes and mouths sharp. The tones
+of the base are stretched where the layers are busy, at the cost of even areas (sky, wall, coat): a partial histogram
+equalisation with a limited slope (Pizer 1987), weighted by structure (Ward 1997). Tones beyond black and white are then
+compressed softly, because scaling everything down would cost the contrast gained. Gains, windows and limits were chosen
+on blurred, grainy walls of photographs, by structural similarity to the original with its local contrast normalised, by
+the contrast of faces alone, and by looking at them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _STEEPEST = 2.5  # slope of the equalised curve, so that faint noise is not ampl
 _TONES, _TONE_BLUR = 256, 6.0
 _CLIPPED = 0.001  # of the pixels, brighter than white
 _KNEE = 0.05  # lightness: how far from black and white tones begin to bend
-_TWO_TONES = 0.93  # of the variance lies between two tones: there are no others (logos 0.98, photographs < 0.9)
+_TWO_TONES = 0.93  # share of the variance between two tones: above it there are no others (logos 0.98, photos < 0.9)
 _GAMMA = 2.2  # lightness = light^(1/2.2), as eyes see it and near the sRGB curve
 _BLACK_ROUNDS = 20
 
@@ -37,11 +37,11 @@ def prepare_picture(linear: Array, detail_px: float, *, black: float = 0.0) -> A
     """Return the picture with its contrast raised just above the smallest detail that will show.
 
     linear    : (ny, nx) linear light >= 0
-    detail_px : smallest detail that will show, in pixels: the full width at half maximum of what blurs the wall
-    black     : light of the darkest pixels as a share of the mean; below what valleys leak anyway, so no detail there
-    is visible
+    detail_px : smallest detail that will show, in pixels: the full width at half maximum of the blur on the wall
+    black     : light of the darkest pixels as a share of the mean; less than valleys leak anyway, so no detail there is
+    visible
     returns   : (ny, nx) linear light; the same array where the picture has two tones only, which no contrast can help
-    Raises TargetError if the detail is no size.
+    Raises TargetError if the detail is not a valid size.
     """
     if not (np.isfinite(detail_px) and detail_px > 0):
         raise TargetError(

@@ -17,7 +17,7 @@ from math import exp
 _F_NM, _C_NM = 486.13, 656.27
 _LEAST_NM, _MOST_NM = 380, 780
 _SUN_K, _SECOND_RADIATION_NM_K = 5800.0, 1.438777e7
-_PER_WIDTH = 2.772589  # 4 ln 2: a bell of that full width at half its height
+_PER_WIDTH = 2.772589  # 4 ln 2: a Gaussian of that full width at half maximum
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +25,7 @@ class Spectrum:
     """Colours of a light.
 
     kind     : a key of POWERS, or "monochromatic"
-    centre_nm, width_nm : of "led": its peak, and its full width at half of that
+    centre_nm, width_nm : of "led": its peak, and its full width at half maximum
     """
 
     kind: str = "monochromatic"
@@ -38,7 +38,9 @@ class Spectrum:
         return self.kind != "monochromatic"
 
     def split(self, parts: int) -> tuple[float, ...]:
-        """Return the mean index of each of `parts` of equal light, ascending, less that of all [share of n_F - n_C]."""
+        """Split the light into `parts` of equal light; return the mean index of each, ascending, minus that of the
+        whole [share of n_F - n_C].
+        """
         return _split(self, parts) if self.is_spread else (0.0,)
 
     @property

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 _MOST_THREADS = 8
-_WORTH_THREADS = 50_000  # values in the largest array: with fewer, handing over takes as long as computing
+_WORTH_THREADS = 50_000  # values in the largest array: with fewer, starting threads takes as long as computing
 
 
 @cache

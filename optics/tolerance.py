@@ -1,7 +1,7 @@
 """The effect of an inexact set-up on the picture: wall too near or far, tilted light, a source with a size.
 
-Everything is simulated with the lens as it is, against the same target. A shift of the picture as a whole is reported
-and then taken out: a person moves the wall's frame, not the lens. Light from a disc is simulated as light from its
+Everything is simulated with the lens as it is, against the same target. A shift of the whole picture is reported and
+then removed: a person moves the frame on the wall, not the lens. Light from a disc is simulated as light from its
 middle, spread on the wall over the disc that the source makes of a point: within some tenths of a dB of many beams, at
 the cost of one.
 """
@@ -32,11 +32,12 @@ _WIDEST = 0.2  # of the throw: no depth of focus is claimed beyond
 _RAYS = 96  # along a side, for the picture's shift
 _BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from a rough to an exact search of the picture's place
 _FINE = 2  # blurred in half pixels: whole pixels, each evenly lit, would add a blur of their own
-# Tubes along a side of a cell. Fewer than 4 miss some error, the same one near focus: it is added from the middle's.
+# Tubes along a side of a cell. Fewer than 4 miss a part of the error, which is the same near focus: it is added from
+# the middle's simulation.
 _TUBES, _TUBES_COARSE = 2, 1
-_BEAMS = 8  # two colours of the light of a changed set-up; what they miss near focus is added from the middle's
+_BEAMS = 8  # two colours of a changed set-up's light; their error near focus is added from the middle's
 _WALL_STEPS = 4
-_NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and tilt: still near focus, where the coarse are within 0.35 dB
+_NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and tilt: still near focus, where coarse simulations are within 0.35 dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +61,9 @@ class TiltPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlurPoint:
-    """A source that looks size_deg wide from the lens, instead of its own: each point is a disc of diameter_mm."""
+    """A source that appears size_deg wide from the lens, in place of the bench's: each point is a disc of
+    diameter_mm.
+    """
 
     size_deg: float
     diameter_mm: float
@@ -85,7 +88,7 @@ class IndexPoint:
 class Tolerances:
     """focus ascends from near to far, with the design's own throw among it; tilts and sources ascend.
 
-    index          : of a block whose index is higher by as much as it may be; None if that is not known
+    index          : for the greatest index that the block may have; None if that is not known
     focus_range_mm : offsets of the wall, near (negative) and far, at which FOCUS_LOSS_DB of the picture are lost
     blur_mm, _px   : diameter of the disc that the bench's own light makes of a point; 0 for light without size
     """

@@ -109,9 +109,9 @@ def _visit(
 
 @njit(cache=True, nogil=True)
 def _fill_from_neighbours(u: Array, v: Array) -> None:
-    """Give open vertices the mean of their known neighbours, ring by ring outward from what is known.
+    """Give open vertices the mean of their known neighbours, ring by ring outward from the known ones.
 
-    Each vertex is looked at as often as it has neighbours, however wide the open part is (beside a round lens).
+    Each vertex is visited once for each neighbour, however wide the open part is (beside a round lens).
     """
     ny, nx = u.shape
     ring, size = np.empty((ny * nx, 2), np.int64), 0
@@ -165,8 +165,8 @@ def screen_positions(lens_x: Array, lens_y: Array, x_mm: Array, y_mm: Array) -> 
     lens_x, lens_y (my, mx)  : positions of the moved grid's nodes; its quads cover the aperture
     x_mm (nx,), y_mm (ny,)   : evenly spaced vertex positions
 
-    Quads that a fold has turned over leave a few vertices open: these are looked for with a slack of up to half a
-    quad, and what is then still open takes the mean of its neighbours.
+    Quads that a fold has turned over leave a few vertices open: these are searched with a tolerance of up to half a
+    quad, and any that are still open then take the mean of their neighbours.
     """
     u = np.full((y_mm.size, x_mm.size), np.nan)
     v = np.full_like(u, np.nan)

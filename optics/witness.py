@@ -176,7 +176,7 @@ def _choose_mark(finish: Finish, depth_mm: float, mill: Mill, share: float) -> M
     amplitude_mm = _first_harmonic_mm(tips, period_mm, mill.radius_mm)
     if amplitude_mm > _MOST_OF_CONTACT * depth_mm * (finish.k0_rad_per_mm / k_rad_per_mm) ** finish.order:
         raise NoMarksError("steps")  # in whole steps it is too high for the pad
-    against_noise = 2 / _ROWS * (mill.noise_mm / (_MOST_NOISE * amplitude_mm)) ** 2  # the mean of so many periods
+    against_noise = 2 / _ROWS * (mill.noise_mm / (_MOST_NOISE * amplitude_mm)) ** 2  # the mean of all periods of a mark
     periods = max(_LEAST_PERIODS, math.ceil(_LEAST_FIELD_MM / period_mm), math.ceil(against_noise))
     if periods > _MOST_PERIODS:
         raise NoMarksError("noise")

@@ -5,8 +5,8 @@ ripple a cos(kx) makes fringes of the same period, of strength m = lever k^2 a, 
 times (n - 1). The photograph shows a bright quadrilateral. Its corners give the perspective; along the ridges it is
 averaged. What remains are the fringes of each mark against its flat. They are compared with those of the milled strip,
 levelled by a dose. Errors of rows are not modelled: they are noise, averaged over all periods of a mark. The
-photograph's blur takes more off short fringes (as k^2) than a finish of order 1 does, so the fit can separate the two;
-for order 2, where it cannot, a prior fixes the blur.
+photograph's blur weakens short fringes more (as k^2) than a finish of order 1 does, so the fit can separate the two;
+for order 2 it cannot, and a prior fixes the blur.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _SAMPLES_PER_MM, _ACROSS = 40, 48
 _BORDER = 0.3  # of the strip's width at either rim that is left out
 _WHITE, _MOST_WHITE = 0.97, 0.02
 _STARTS = 24
-_COVERED_MM = np.linspace(-0.25, 1.0, 6)  # of either end of the strip, by tape
+_COVERED_MM = np.linspace(-0.25, 1.0, 6)  # of either end of the strip that tape may cover
 _LEAST_BLUR_MM, _BLUR_SPREAD = 0.01, 0.2  # of the logarithm of the blur that the strip's ends show
 _EDGE_MM = 0.8  # of the light at either end, from which its blur is taken
 _LEVER_SPREAD = 0.05
-_FLOOR = 0.004  # share of the mean light that the model misses
-_OFF = 0.05  # likewise, of the fringes
+_FLOOR = 0.004  # error of the model, as a share of the mean light
+_OFF = 0.05  # the same for the fringes
 _BESIDE = (0.55, 1.45, 1.6)  # times a mark's wave number: frequencies at which no signal is expected
 _LEAST_LIT = 0.02  # of the camera's white
 _LEAST_PIXELS_PER_MM = 8.0
@@ -71,8 +71,8 @@ class DoseReading:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripLight:
-    """Light (n,) along the strip, about 1, from end to end; its blur, standard deviation; pixels_per_mm: of the
-    photograph.
+    """Light (n,) along the strip from end to end, its values around 1; its blur, standard deviation; pixels_per_mm: of
+    the photograph.
     """
 
     light: Array

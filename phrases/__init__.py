@@ -1,1 +1,1 @@
-"""Sentences for people, in a form that can be translated into every language; imports no other package."""
+"""Translatable sentences for people. Imports no other package."""

@@ -1,7 +1,7 @@
-"""Sentences for people that another language can say as well: each keeps the template and the values it is made of.
+"""Translatable sentences for people: each keeps its template and values.
 
 Every package may use it; it uses none. English stands in the sources, and is the key of a table of another language
-(service/page/languages), as in gettext. `make lint` lists what those tables lack (docs/languages.py).
+(service/page/languages), as in gettext. `make lint` lists missing translations (docs/languages.py).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ _PLACE = re.compile(r"\{(\w+)\}")
 
 
 class Phrase(str):
-    """An English sentence. Wherever a text is wanted it is one; programs read how it was made.
+    """An English sentence: a str that also carries its template and values, for translation and for programs.
 
     template : with {name} where a value stands, without formats
-    values   : what stands there, as it was written, or a phrase in turn
+    values   : the text in each place, formatted, or another phrase
     """
 
     __slots__ = ("template", "values")
@@ -41,7 +41,7 @@ class Phrase(str):
 
     @classmethod
     def of_text(cls, text: str) -> Self:
-        """Make a sentence of a whole text, which stands in a file of data and has no places for values."""
+        """Make a sentence of a whole text without places for values, as it stands in a data file."""
         return cls(text.replace("{", "{{").replace("}", "}}"))
 
     def __str__(self) -> str:
@@ -52,7 +52,7 @@ class Phrase(str):
         return _remake, (str.__str__(self), self.template, dict(self.values))
 
     def map(self, change: Callable[[str], str]) -> Phrase:
-        """Return it with every text in it changed, character by character; not the letters of names."""
+        """Return the phrase with every text changed character by character, except the names of its values."""
         values = {
             name: one.map(change) if isinstance(one, Phrase) else change(one) for name, one in self.values.items()
         }
@@ -81,12 +81,12 @@ def join(separator: str, parts: Iterable[str]) -> Phrase:
 
 
 def phrases_in(document: Any) -> dict[str, dict[str, Any]]:
-    """Return the phrases in a document that goes out as JSON: template and values by text."""
+    """Return the template and values of each phrase in a document that becomes JSON, by the phrase's text."""
     return {text: text.plain() for text in _find(document)}
 
 
 def restore(document: Any, phrases: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return a document that was read from JSON with its phrases in place of their texts, but its table."""
+    """Return a document read from JSON with its phrases in place of their texts, without its table of phrases."""
     if isinstance(document, str):
         return _make(phrases[document], document) if document in phrases else document
     if isinstance(document, Mapping):
@@ -118,8 +118,8 @@ def _find(document: Any) -> Iterator[Phrase]:
 
 
 def say(document: Any, table: Mapping[str, str]) -> Any:
-    """Return a document whose phrases are still in it in the language of a table; other texts, and what the
-    table has not, stay as they are.
+    """Translate a document that still contains its phrases by a language's table. Other texts, and phrases that are not
+    in the table, stay unchanged.
     """
     if isinstance(document, Phrase):
         return _fill(table.get(document.template, document.template), say(document.values, table))

@@ -18,7 +18,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from service.errors import InputError, printable
 
 PREFIX = "CAUSTICMILL_"
-SAFE_SHARE = 0.6  # of a lease: a worker that has not renewed it for that share stops, well before others take over
+SAFE_SHARE = 0.6  # share of a lease: a worker that has not renewed it for that long stops, well before others take over
 # Variables that are read elsewhere: by clients, profiles, secrets, the command itself. TRIAL... are for the trials of
 # the server.
 _OTHERS = ("SERVER", "TOKEN", "CONFIG_DIR", "SECRETS", "BEGAN", "PUBLISHED_PORT")
@@ -37,7 +37,7 @@ class ServerSettings(BaseSettings):
     anonymous         : what a caller on this computer without a token may do, as long as no token has ever been made
     allowed_hosts     : further names under which the server may be called (Host header)
     behind_proxy      : a proxy with TLS and its own authentication is in front; needed to bind anything but loopback
-    lease_s           : a worker without a heartbeat for so long is dead, and its jobs move
+    lease_s           : a worker without a heartbeat for this time counts as dead, and its jobs move
     slots             : jobs that one worker runs at the same time
     executor          : this worker's name in the farm; None: made from host and data folder
     stage_memory_mb   : address space of a stage's process in addition to its size at the start
@@ -53,7 +53,7 @@ class ServerSettings(BaseSettings):
     start_agents      : `serve` starts an agent for every configured machine that has a port
     prepare           : compile kernels soon after the start, so that the first estimate and the first job need not wait
     simulated_mill    : `serve` also offers a simulated mill, to try everything on
-    notify_url        : web address for JSON notices of what needs a person at a mill; None: no notices
+    notify_url        : web address for JSON notices when a mill needs a person; None: no notices
     notify_email      : mailbox for the same notices
     smtp_url          : server that sends these mails: smtp://user:password@host:port, or smtps://
     mqtt_url          : broker by which Home Assistant shows the mills: mqtt://user:password@host, or mqtts://
@@ -178,7 +178,7 @@ def _sentence(problem: dict[str, object]) -> str:
 
 
 def unknown_settings(environment: Mapping[str, str]) -> Iterator[str]:
-    """Yield a sentence for each variable that looks like a setting and is none."""
+    """Yield a sentence for each variable that looks like a setting but is not one."""
     settings = [name.upper() for name in ServerSettings.model_fields]
     for variable in sorted(environment):
         name = variable.upper().removeprefix(PREFIX)

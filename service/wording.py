@@ -110,7 +110,7 @@ def likeness_in_words(seen_db: float | None) -> Phrase:
 
 
 def describe_misplaced(share: float) -> Phrase:
-    """Describe the share of light that falls on the wrong place as one part in so many."""
+    """Describe the share of light that falls on the wrong place as "one part in N"."""
     if share < 1e-4:
         return Phrase("all light falls where it should")
     if share > 1 / 3:

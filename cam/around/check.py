@@ -1,4 +1,4 @@
-"""The check of facing, witness marks and cutting out: reads the written program back and simulates the cut.
+"""Checks facing, witness marks and cutting out: reads the written program back and simulates the cut.
 
 Nothing of the generator is used, as in the check of passes: text -> moves (cam.reading) -> stock left, time
 (cam.duration), rules for single moves. Two tests show that the lens is not touched: the cells of the remaining stock,

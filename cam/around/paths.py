@@ -9,7 +9,7 @@ Cutting out: around the outline layer by layer, each entered by a ramp, up and d
 closed line; places on it are lengths along it. The cutter sinks along it at the slope of all ramps, goes once around
 and over the ramp again, and sinks on from where it is. Over a tab the height is the larger of the layer's and the
 tab's: a plateau as wide as the tab and the cutter, with flanks. The larger of two straight pieces is convex, so chords
-between the places asked never go under it.
+between the requested places never go below it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TRACE_FEED_MM_PER_MIN = 1200.0
 ALLOWANCE_MM = 0.005
 """Left on the rim of the lens, so that neither chords nor the digits of a position cut into it."""
 
-_SAGITTA_MM = 0.002  # by which the chords of a corner's arc are inside it
+_SAGITTA_MM = 0.002  # how far the chords of a corner's arc lie inside it
 _STRIDE_MM = 0.2  # between the points at which the fit of the cutter is tested
 _STRAIGHT = 1e-9
 
@@ -55,7 +55,7 @@ def trace_paths(
 ) -> tuple[Path, ...]:
     """Return the paths around the block, then around the lens, all at the safe height.
 
-    outline_mm : corners of a lens that is no rectangle; empty for the aperture
+    outline_mm : corners of a lens that is not a rectangle; empty for the aperture
     """
     lens = np.array(outline_mm, dtype=np.float64) if len(outline_mm) else aperture_corners(stock)
     paths: list[Path] = []
@@ -70,9 +70,9 @@ def offset_loop(corners_mm: Array, radius_mm: float, *, allowance_mm: float = AL
     the end.
 
     corners_mm (k, 2) : counter-clockwise
-    allowance_mm      : kept from the outline beside the radius; more than a digit of the positions
+    allowance_mm      : kept from the outline in addition to the radius; more than a digit of the positions
     returns (n, 2)    : never nearer to the outline than the radius
-    The path passes by a hollow of the outline that the cutter does not fit into. Raises OutlineError if it cannot.
+    The path goes past hollows into which the cutter does not fit. Raises OutlineError if that is impossible.
     """
     away_mm = radius_mm + allowance_mm
     points = _around_each_corner(np.asarray(corners_mm, dtype=np.float64), away_mm)
@@ -152,7 +152,7 @@ def _cross(p: Array, q: Array, a: Array, b: Array) -> np.ndarray:
     return np.asarray(apart & (side(p, q, a) * side(p, q, b) < 0))
 
 
-_ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
+_ROOM_SHARE = 0.9  # share of the way between two tabs that their feet may take
 
 
 def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
@@ -288,7 +288,7 @@ class _ClosedWay:
 
 
 def _with_feeds(points: Array, cut_out: CutOut) -> Iterator[Path]:
-    """Yield the level pieces at the feed, the others at the plunge feed. The first piece is a ramp."""
+    """Yield level pieces at the feed and all others at the plunge feed. The first piece is a ramp."""
     slanted = np.concatenate([[True], np.abs(np.diff(points[:, 2])) > 1e-9])
     begins = np.flatnonzero(np.concatenate([[True], slanted[1:] != slanted[:-1]]))
     for begin, end in pairwise([*begins, len(points)]):

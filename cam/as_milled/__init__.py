@@ -1,1 +1,1 @@
-"""The surface that a program really leaves: every groove of the ball, as facets through which light is traced."""
+"""The surface that a program really leaves: every groove of the ball, as facets for tracing light."""

@@ -34,13 +34,13 @@ _ROOM = 4096  # neighbours of one chord
 _PER_CHORD = 6 * MOST_PARTS  # facets, of itself and of the ball at its end
 _TURNED = 0.03  # rad: a frame that deviates more from the surface's normal is set up again
 _CORNERS = 0.5  # of a chord's length: parts of the balls at its end, of which short chords leave narrow slivers
-_WITHIN = 0.75  # of the reach: farther from its middle a ball leaves nothing, as rivals may be out of reach there
+_WITHIN = 0.75  # of the reach: farther out a ball is taken to leave nothing, as rivals may be out of reach there
 _SPARE = 0.01  # rad: added to the tilts at which a ball can leave anything
 
 
 @njit(cache=True, nogil=True)
 def slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no-untyped-def]
-    """Return (px, py, zx, zy): where a ball with its centre above (x, y) touches the lens, about, from the guess p."""
+    """Return (px, py, zx, zy): roughly where a ball with its centre above (x, y) touches the lens, from the guess p."""
     zx = zy = 0.0
     for _ in range(steps):
         _, zx, zy, _, _, _ = spline_jet(surface[0], surface[1], surface[2], surface[3], surface[4], px, py)
@@ -101,10 +101,10 @@ def _spread_along(out, first, last, c, k, steps_within):  # type: ignore[no-unty
 def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  # type: ignore[no-untyped-def]
     """Return (n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
 
-    surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens, which only says where the normal is, about
+    surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens; used only for the rough direction of the normal
     reach   : greatest distance of a ball that hides something
-    longest, crossed : parts of a strip that are asked for, and of one that other tracks cross
-    steps_within     : of each ball's moves (slopes, half width) of what steps within them add
+    longest, crossed : greatest length of the parts of a strip, and of one that other tracks cross
+    steps_within     : (slopes, half width) of each ball's moves: the spread that steps within moves add
     """
     near, rivals = np.empty(_ROOM, np.int32), np.empty((_ROOM, FACTS))
     frame, out = np.empty((3, 3)), np.empty((2 * (last - first) + _PER_CHORD, 4, 5))

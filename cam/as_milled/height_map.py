@@ -1,9 +1,9 @@
 """Maps the departure of a milled surface from its lens, cell by cell. A finish levels this departure.
 
-Theory of operation. The surface is the lowest of all balls on their ways. A ball cuts only near its contact with the
-lens, within `reach_of` it, so each chord lowers the few places around its contact. In tight parts of the lens the
-contact is not sharp, and where the ball does not fit there is none: places that stay high are computed again with twice
-the reach. A cell is the mean of two places, each at random in one of two quarters of the cell that touch at their
+Theory of operation. The surface is the lower envelope of all balls along their paths. A ball cuts only near its contact
+with the lens, within `reach_of` it, so each chord lowers the few places around its contact. In tight parts of the lens
+the contact is not sharp, and where the ball does not fit there is none: places that stay high are computed again with
+twice the reach. A cell is the mean of two places, each at random in one of two quarters of the cell that touch at their
 corners. On a regular lattice of places, the grooves of rows would beat against the lattice and make false long waves;
 random places instead make a little noise between neighbouring cells, which a finish levels.
 """
@@ -110,7 +110,7 @@ def map_departure(
 
 
 class _Blocks(NamedTuple):
-    """near[row, column]: whether a place that is wanted is near that block of side `side`; blocks from (x0, y0) on."""
+    """near[row, column]: whether a wanted place is near that block of side `side`; blocks from (x0, y0) on."""
 
     near: NDArray[np.bool_]
     x0: float

@@ -77,12 +77,12 @@ def sample_facets(
 
 
 def tip_error_mm(*, step_mm: float, z_noise_mm: float = 0.0, decimals: int = DECIMALS) -> float:
-    """Return the standard deviation of the tips' heights: steps and decimals are even within +-1/2."""
+    """Return the standard deviation of the tips' heights: errors of steps and decimals are uniform within +-1/2."""
     return math.hypot(z_noise_mm, step_mm / math.sqrt(12), 10.0**-decimals / math.sqrt(12))
 
 
 def _small_fields(lens: Heightfield, radius_mm: float, pitch_mm: float) -> Iterator[Rows]:
-    """Yield the rows of a pass where they make one of the samples."""
+    """Yield the rows of a pass where they form one of the samples."""
     spline = lens.spline()
     half = min(_SAMPLE_MM, _SAMPLE_PITCHES * pitch_mm, lens.width_mm / 4, lens.height_mm / 4) / 2
     for v in _PLACES:

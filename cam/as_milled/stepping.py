@@ -1,14 +1,14 @@
-"""Measures what the steps of an axis within moves add to slopes along them, by simulating every ball around a few
+"""Measures how much the axis steps within a move add to the slopes along it, by simulating every ball around a few
 places of a pass.
 
 A mill goes from one end of a move to the other in whole steps, as Bresenham's line does. The ball leaves a tooth for
 each step of Z; neighbouring rows, whose teeth are elsewhere, cut parts of them off. A facet for each remaining piece
-would take ten times as long as one for each move. So teeth are measured by brute force, at some hundred moves of all
-slopes, between the neighbours that they have, with their own lengths, noise and rounding; once straight and once by
-steps. The slopes of facets are then spread evenly by the difference in the mean square, which depends on the slope of
-the move. Over lenses of 100 mm, steps of 4 um and vertices on whole steps, the rms along rows is within 5 % of brute
-force; straight moves alone have a seventh of it. Where rounding of vertices makes more slopes than steps do, these take
-off 7 % at most, which is left out.
+would take ten times as long as one for each move. So teeth are measured by brute force on some hundred moves of all
+slopes, with their real neighbours, lengths, noise and rounding: once as straight moves, once in steps. The slopes of
+facets are then spread evenly by the difference in the mean square, which depends on the slope of the move. On lenses of
+100 mm, with steps of 4 um and vertices on whole steps, the rms along rows is within 5 % of brute force; straight moves
+alone give a seventh of it. Where the rounding of vertices adds more slope than the steps do, the steps reduce the rms
+by up to 7 %; the model ignores this.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Spread(NamedTuple):
 
 
 def measure_spread(tracks: Sequence[Tracks], lens: Heightfield, *, step_mm: float, reach_mm: float) -> Spread:
-    """Measure it for each ball's tracks, made by a mill of those steps; nothing is added without any."""
+    """Measure the spread for each ball's tracks on a mill with steps of `step_mm`; it is 0 if the mill has no steps."""
     slopes, widths = np.zeros((2, len(tracks), _KNOTS))
     offsets = np.random.default_rng(0).uniform(-reach_mm, reach_mm, (_POINTS, 2))
     for group, one in enumerate(tracks if step_mm > 0 else []):
@@ -97,7 +97,9 @@ def run_by_steps(tips, k, step, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def lowest_slopes(ends, radius, x, y):  # type: ignore[no-untyped-def]
-    """Return (slope in x, in y) of the lowest of balls that run along ends (count, 6), above a point."""
+    """Return the slopes in x and y, at a point, of the ball that goes lowest there. ends (count, 6): the balls'
+    moves.
+    """
     lowest, zx, zy = np.inf, 0.0, 0.0
     for k in range(ends.shape[0]):
         dx, dy = ends[k, 3] - ends[k, 0], ends[k, 4] - ends[k, 1]
@@ -162,7 +164,7 @@ def _list_moves_near(tips, joined, runs, x, y, half):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _run(tips, moves, step, x, y, half):  # type: ignore[no-untyped-def]
-    """Return ends (n, 6) of what these moves run near (x, y), straight or, where step is not 0, by its steps."""
+    """Return ends (n, 6) of the pieces of these moves near (x, y): straight, or in steps where `step` is not 0."""
     ends, way = np.empty((1024, 6)), np.empty((2, 3))
     between = np.empty((2, 3))
     filled = 0
@@ -185,7 +187,9 @@ def _run(tips, moves, step, x, y, half):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _measure(tips, joined, radius, moves, lens, step, reach, offsets):  # type: ignore[no-untyped-def]
-    """Return (n, 2) slope of each move and what steps add around its middle to the mean square of slopes along it."""
+    """Return (n, 2): the slope of each move, and how much steps add, around its middle, to the mean square slope along
+    it.
+    """
     out, runs = np.empty((moves.size, 2)), _box_runs(tips)
     for m in range(moves.size):
         k = moves[m]

@@ -1,20 +1,20 @@
 """Strips of the surface that a moving ball leaves, between the two ends of its visible angles, cut into facets.
 
-What a ball shows of itself between its rivals, the neighbouring chords, is one interval of angles across its track. A
+The visible part of a ball between its rivals, the neighbouring chords, is one interval of angles across its track. A
 point of the ball with centre c and radius R is c + R v, v a unit vector. It lies outside another ball of the path, d
-away, where 2 R v . d < |d|^2 (for equal radii): a half-space in v, so what a ball shows of itself is cut out by
-half-spaces on any path: neighbours, crossings, deeper tracks that hide it altogether. While the tool
-moves along t only points with v . t = 0 stay: v = f b - n, one angle f across the track, with the frame t, b, n turned
-so that n is about the surface's normal. Each other chord bounds f from one side, or hides the place, in closed form:
-f < min X / D over its balls, X = d_n + |d|^2 / 2R and D = d_b (squares of f, some 1e-4, are left out).
+away, where 2 R v . d < |d|^2 (for equal radii): a half-space in v, so the visible part of a ball is an intersection of
+half-spaces on any path: neighbours, crossings, deeper tracks that hide it altogether. While the tool moves along t only
+points with v . t = 0 stay: v = f b - n, one angle f across the track, with the frame t, b, n turned so that n is about
+the surface's normal. Each other chord bounds f from one side, or hides the place, in closed form: f < min X / D over
+its balls, X = d_n + |d|^2 / 2R and D = d_b (squares of f, some 1e-4, are left out).
 
 Balls of different radii are compared by their lowest points towards n: exact where they touch the same surface, off by
 d^2 / 2 (1/R1 - 1/R2) at a border between two programs.
 
-Each part of a strip is asked at three places: where it shows at all of them it is one facet, else each third is by
-itself. Where tracks come and go with steps and noise, every end of one is up to a sixth of a part off, to either side:
-light on a screen is the sum of so many that it does not show (a part cut until it is 7 um long gives the same picture
-to 58 dB, at 100 mm, R 0.5, pitch 0.02 and steps of 2.5 um, and takes twice as long).
+Each part of a strip is tested at three places: if it is visible at all of them it is one facet, otherwise each third is
+tested alone. Where tracks come and go with steps and noise, every end of one is up to a sixth of a part off, to either
+side: this does not show, because light on a screen is the sum of very many parts (a part cut until it is 7 um long
+gives the same picture to 58 dB, at 100 mm, R 0.5, pitch 0.02 and steps of 2.5 um, and takes twice as long).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 from numba import njit
 
 FACTS = 11  # of one rival, see `turn_to_frame`
-WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
+WIDEST = 0.3  # rad: visible part of a ball without a neighbour, to either side
 _CROSSING = 0.3  # tangent of the least angle at which tracks count as crossing
-_POINT = 1e-18  # mm: half the square of a chord that is none in its frame, over the radius
+_POINT = 1e-18  # mm: half the square of a chord that counts as none in its frame, over the radius
 _TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
 
 
@@ -52,7 +52,7 @@ def set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def has_crossing(count, rivals):  # type: ignore[no-untyped-def]
-    """Return whether another track runs across this one: then what it shows changes from place to place."""
+    """Return whether another track runs across this one: then its visible part changes from place to place."""
     crossed = False
     for m in range(count):
         crossed = crossed or abs(rivals[m, 4]) > _CROSSING * abs(rivals[m, 3])
@@ -99,12 +99,12 @@ def _move_to_front(rivals, first, m):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # type: ignore[no-untyped-def]
-    """Return (low, high, ahead): the angles across that a ball shows within those; low >= high: none, and what hides
-    the ball hides even more of it with a larger tilt where `ahead` is positive, with a smaller one else. Rival `skip`
-    does not count.
+    """Return (low, high, ahead): the visible angles across of a ball within the given ones. low >= high: none; then a
+    larger tilt hides even more of the ball where `ahead` is positive, a smaller one otherwise. Rival `skip` does not
+    count.
 
     ball        : its centre (t, n) in the frame
-    tilt, shear : where it is asked: tilt - shear f ahead of n
+    tilt, shear : place of the test: tilt - shear f ahead of n
     slack       : what shear may add to f D
     """
     down = math.sqrt(1.0 - tilt * tilt)
@@ -174,7 +174,7 @@ STEEPEST = 0.6  # rad: no ball leaves a larger angle along its track
 
 
 class Strip(NamedTuple):
-    """What a chord, or the ball at its end, may show: u from 0 to 1 along it.
+    """The part of a chord, or of the ball at its end, that may be visible: u from 0 to 1 along it.
 
     length                : of it on the surface
     whole                 : length of the chord
@@ -215,7 +215,7 @@ def bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _compute_loss(radius, bend, across):  # type: ignore[no-untyped-def]
-    """Return what a chord loses to the next one beyond a hill; 0 if that is too short to matter."""
+    """Return the length that a chord loses to the next one beyond a hill; 0 if that is too short to matter."""
     loss = -0.5 * radius * min(bend[0] - bend[1] * across, 0.0)
     return loss if loss < bend[2] else 0.0
 
@@ -297,16 +297,17 @@ def _fill_facet(tips, k, frame, radius, strip, u0, u1, low, high, out):  # type:
 
 @njit(cache=True, nogil=True)
 def _straight(a, b, c):  # type: ignore[no-untyped-def]
-    """Return the ends of the line nearest to a parabola of values a, b, c in the middles of thirds; the same mean."""
+    """Return the ends of the line nearest to a parabola with values a, b, c in the middles of thirds, with the same
+    mean.
+    """
     mean, half = (3.0 * a + 2.0 * b + 3.0 * c) / 8.0, 0.75 * (c - a)
     return mean - half, mean + half
 
 
 @njit(cache=True, nogil=True)
 def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no-untyped-def]
-    """Return (first, last): the parts, last not among them, in which a ball at a corner shows something.
-
-    What a ball shows is convex, so that no place beyond one that is hidden from there shows anything.
+    """Return (first, last), last excluded: the parts in which a ball at a corner is visible. The visible part of a ball
+    is convex, so nothing beyond a hidden place is visible.
     """
     cells = 3 * parts
     low, high, seen = 0, cells - 1, -1
@@ -321,7 +322,7 @@ def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no
             low = middle + 1
     if seen < 0:
         return 0, 0
-    left, right = seen, seen  # the outermost that are known to show something
+    left, right = seen, seen  # the outermost parts that are known to be visible
     while low < left:
         middle = (low + left) // 2
         shown = _find_shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)

@@ -31,8 +31,8 @@ _CROSSED = 1 / 6  # of the pitch: parts of a strip that other tracks cross
 def reach_of(radius_mm: float, *, pitch_mm: float, error_mm: float) -> float:
     """Return how far from its contact a ball cuts surface that no neighbouring ball cuts deeper.
 
-    error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around. (Half as
-    far again changes the light of rows of a 4 mm ball, 0.03 mm apart and off by 1.5 um, by 60 dB, and takes twice as
+    error_mm : standard deviation of the tips' heights. A tip that lies d deeper hides others within sqrt(2 R d). (Half
+    as far again changes the light of rows of a 4 mm ball, 0.03 mm apart and off by 1.5 um, by 60 dB, and takes twice as
     long.)
     """
     return 1.5 * pitch_mm + math.sqrt(2.0 * radius_mm * _SIGMAS * error_mm)
@@ -44,7 +44,7 @@ class MilledSurface:
 
     reach_mm   : balls farther apart than this do not affect each other's cut
     crossed_mm : greatest length of a facet where another track crosses
-    steps_within : what steps within moves add
+    steps_within : the spread of slopes that steps within moves add
     """
 
     chords: Chords
@@ -98,7 +98,7 @@ _AT_ONCE = 20_000  # moves between two updates of the stock's height
 def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
     """Return the stock that the balls of these tracks leave, exact at the centres of its cells.
 
-    before : best little above the surface: then the balls have little to go over
+    before : heights only a little above the surface are fastest: the balls then have less stock to scan
     """
     stock = before
     with ThreadPoolExecutor(max_workers=_SHARES) as pool:

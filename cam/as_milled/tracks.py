@@ -154,7 +154,7 @@ class Tracks:
         return Tracks(radius_mm=self.radius_mm, tips_mm=tips, joined=self.joined)
 
     def divide(self, longest_mm: float) -> Tracks:
-        """Return the same tracks with no chord longer than that; chords without motion in plan are left out."""
+        """Return the same tracks with no chord longer than the limit; chords without motion in plan are left out."""
         count = _count(self.tips_mm, self.joined, longest_mm)
         tips, joined = np.empty((count, 3)), np.empty(count, dtype=np.bool_)
         _divide(self.tips_mm, self.joined, longest_mm, tips, joined)

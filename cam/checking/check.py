@@ -3,8 +3,8 @@
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
-stated, what stands beside them, and the clamps (`collision`).
-Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
+stated, stock and clamps beside them (`collision`).
+Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, except for
 the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
 
@@ -77,16 +77,16 @@ class PassCheck:
     """What one program does to the stock. `faults` are sentences; a program without any is `ok`.
 
     excess_um        : greatest stock above the wanted surface within the ball's reach, regular cusps included
-    excess_ratio     : that, over what pitch, slope and curvature explain at the same place (99.9 % of cells stay below)
-    climb_share      : of the volume, what was cut climbing; slot_length_mm of the path cut at full width, slot_depth_mm
-                       deep at most; flute_need_mm how high above the tip stock was cut
+    excess_ratio     : that, over the height that pitch, slope and curvature explain there (99.9 % of cells stay below)
+    climb_share      : share of the volume that was cut climbing; slot_length_mm of the path cut at full width,
+                       slot_depth_mm deep at most; flute_need_mm how high above the tip stock was cut
     below_leave_um   : how far the pass cut into the stock it should leave
     unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
     contour          : of a contour pass, how it runs (`cam.checking.path_quality`)
     rest             : of a rest pass, where it cuts: area_mm2, regions
     starved_s        : of time_s, how long the mill stands because lines come too slowly
     chips            : how long it cuts with chips below, within and above the band of the material
-    cut_bounds       : like bounds, without what goes on in the air: a trace around the block is wider than any cut
+    cut_bounds       : like bounds, without moves in the air: a trace around the block is wider than any cut
     stock_top        : what is left, for the next pass
     """
 
@@ -164,7 +164,7 @@ def check_program(
 ) -> PassCheck:
     """Cut the program into stock_top and judge it. Raises ProgramError if the text itself is not allowed.
 
-    digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
+    digit_mm    : digit of heights, by the language or by the mill; where it is coarse, larger deviations are allowed
     further     : programs that go on where this one ends, when a pass is split
     total_bytes : length of the program if known; then on_progress gets the share done
     """
@@ -223,7 +223,7 @@ class _Run:
         self.rest = RestAreas.of(before, heightfield, spec) if spec.where == "rest" else None
         self.places = place_windows(heightfield, spec, before)
         self.windows = [removal_of(spec.shape, place.stock, radius_mm=spec.radius_mm) for place in self.places]
-        # A track counts as making the surface if it is no farther above it than this; higher layers do not.
+        # A track counts as part of the surface if it is no farther above it than this; higher layers do not count.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
         if not spec.is_ball:  # it stays farther from a slope, and its rim touches between the sampled points
             self._near_mm = max(self._near_mm * float(np.hypot(1.0, heightfield.steepest)), spec.step_down_mm / 2)
@@ -393,7 +393,7 @@ class _Run:
                     percent=100 * share,
                     place=place,
                 )
-                if share > SEEN_SHARE  # less would be read as nothing
+                if share > SEEN_SHARE  # smaller shares would be shown as 0
                 else Phrase(
                     "the ball of radius {radius_mm:g} mm does not reach into every crease: {place}",
                     radius_mm=self.spec.radius_mm,

@@ -1,10 +1,11 @@
-"""Measures the chip per tooth of a program: feed over speed and flutes, over the time in which the cutter takes stock
-off, against the band of the material.
+"""Measures the chip per tooth of a program: feed over speed and flutes, over the time in which the cutter removes
+stock, and compares it with the band of the material.
 
-The feed per tooth is what cutter makers tabulate, so it is what is compared with their bands. The chip itself is
-thinner: a ball of radius R that is a deep cuts at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2, 0.36
-where a finish takes R / 15 off; makers' figures for such cuts take that into account. The feed is what the mill
-reaches, by the same model as the program's time: less than is written while it speeds up, brakes or waits for lines.
+Cutter makers tabulate the feed per tooth, so this is compared with their bands. The chip itself is
+thinner: a ball of radius R at a depth of cut a makes at most sqrt(1 - (1 - a / R)^2) of it, 0.87 in layers of R / 2,
+0.36 in a finish that takes R / 15 off; makers' figures for such cuts take that into account. The feed is the one that
+the mill reaches in the model of the program's time: less than the written feed while it speeds up, brakes or waits for
+lines.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
 
 _CUTS_MM = 1e-3
-"""Less stock than this is what rounding leaves, and no cut."""
+"""Removing less stock than this is rounding, not a cut."""
 
 _ROUNDED = 0.01  # feeds and speeds are whole numbers
 
@@ -31,7 +32,7 @@ _LENGTH, _FEED, _TEETH, _LINE, _X, _Y = range(6)  # columns of a block; _TEETH: 
 class ChipTime:
     """How long a program cuts [s] with chips below, within and above the band, and where it cuts thinnest.
 
-    thinnest_mm : mean chip of the time below the band; written_mm: what the written feed would make there
+    thinnest_mm : mean chip of the time below the band; written_mm: the chip of the written feed there
     line, x_mm, y_mm : end of the longest stretch below the band; line 0: none
     """
 

@@ -29,8 +29,8 @@ _OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  
 def _find_overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, offset):  # type: ignore[no-untyped-def]
     """Return the greatest (overlap, x, y, with run-out) of the surface over the ball's underside near tip (cx, cy).
 
-    Newton on (q - C) perpendicular to the surface, from q = tip + offset; offset is updated. Points beyond the
-    aperture are moved to its rim before they count, but for the last value. -inf where the ball reaches no such point.
+    Newton on (q - C) perpendicular to the surface, from q = tip + offset; offset is updated. Points beyond the aperture
+    are moved to its rim before they count, except for the last value. -inf where the ball reaches no such point.
     """
     best = anywhere = -math.inf
     best_x = best_y = math.nan
@@ -120,7 +120,7 @@ def _fill_overlaps(  # type: ignore[no-untyped-def]
                 place[k, 1] = py
         if rest[k] > -near or touch[k] == -math.inf:
             continue
-        for start_x, start_y in _OTHER_STARTS:  # it may touch another flank than the one that was followed
+        for start_x, start_y in _OTHER_STARTS:  # the ball may touch another flank than the one that was followed
             trial[0] = start_x * radius
             trial[1] = start_y * radius
             x, y, tip = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
@@ -144,7 +144,7 @@ def _fill_flat_overlaps(  # type: ignore[no-untyped-def]
 ):
     """Compute the same of every move, for an underside known at places (m, 3) beside and above its tip.
 
-    most: that the surface may stand above its height under the axis within reach; a tip as high is passed over
+    most: greatest height of the surface within reach above its height under the axis; tips higher than that are skipped
     """
     for k in range(depth.size):
         depth[k] = touch[k] = rest[k] = -math.inf

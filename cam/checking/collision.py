@@ -1,12 +1,12 @@
-"""What must not be met: stock by the shank or the end of the flutes, and clamps by any part of the cutter.
+"""Checks collisions: of the shank or the end of the flutes with stock, and of any part of the cutter with clamps.
 
 The cutter is a ball, flutes as wide as the ball up to flute_length_mm above the tip, and a shank of shank_radius_mm
 above them. At no move may stock within the wider of the two stand higher than the flutes reach: within the ball's
-radius it would be cut by what has no edge, beyond it the shank strikes it. The stock is that of the moment, as the
-simulation has it (cam.checking.sweep); only what is stated of a cutter can be checked.
+radius a part without an edge would cut it, beyond it the shank strikes it. The stock is the present one of the
+simulation (cam.checking.sweep); only stated dimensions of a cutter can be checked.
 
 For clamps the cutter counts as a cylinder from its tip up, as wide as its edges or its shank, whichever is wider.
-Nothing of the stock is needed: a move is near a clamp where the part of it below the clamp's top comes near the box,
+The stock is not needed: a move is near a clamp if its part below the clamp's top comes near the box,
 seen from above.
 """
 
@@ -67,10 +67,8 @@ class Collisions:
 
 
 def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
-    """Return how far the finished lens itself would stand above the flutes beside the cutter, at worst; known before
-    any work.
-
-    The least that can happen: stock that is still to come off only stands higher. Below 0 it is clear by at least that.
+    """Return how far the finished lens itself would at worst stand above the flutes beside the cutter; known before any
+    work. It is a lower bound: remaining stock only stands higher. Below 0 the lens is clear by at least that.
     """
     shank = shank_of(spec)
     if shank is None:

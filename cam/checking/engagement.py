@@ -1,5 +1,5 @@
-"""Judges the engagement of the cutter: from which side, over how much of its width, and never with its dead centre
-first.
+"""Judges the engagement of the cutter: on which side and over how much of its width it cuts. It must never plunge with
+its dead centre.
 
 The spindle turns clockwise seen from above, so a cutter climbs if the stock lies on the right of its path. The volume
 that a stretch of path removes, over its length, is the section of the cut. In a slot it is the segment of a circle,
@@ -41,7 +41,7 @@ _GROUP_CELLS = 6  # length of a stretch: shorter moves sweep too few cells for a
 _STILL_MM = 1e-9
 # State of a stretch that is being gathered, carried from batch to batch.
 _LENGTH, _LEFT, _RIGHT, _DEEPEST, _FEED, _LINE, _X, _Y = range(8)
-# What is found: length of slots, deepest of them, length and then feed, line and place of the fastest deep ones.
+# The findings: length of slots, the deepest of them; length of fast deep ones; feed, line and place of the fastest.
 _SLOT_LENGTH, _SLOT_DEPTH, _FAST_LENGTH, _FAST_FEED, _FAST_LINE, _FAST_X, _FAST_Y = range(7)
 
 
@@ -91,8 +91,8 @@ class Engagement:
     """Watches one program, batch by batch.
 
     climb_share    : share of the removed volume that lay on the right of the path
-    slot_length_mm : cut at full width, deeper than a scratch; slot_depth_mm the deepest of it
-    flute_need_mm  : how high above the tip stock was cut
+    slot_length_mm : path cut at full width, deeper than a scratch; slot_depth_mm: the deepest of it
+    flute_need_mm  : greatest height above the tip at which stock was cut
     """
 
     def __init__(self, spec: PassSpec, *, cell_mm: float) -> None:

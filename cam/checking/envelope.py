@@ -2,11 +2,12 @@
 
 The tool is a stack of cylinders about its axis: the cutter from the tip up, then nut and holder; each counts as
 reaching up without an end. Table, block and clamps are boxes that stand on the table. So a tool that is clear of them
-stays clear when it goes up, and these rules are enough for every motion, from wherever the tool is parked: it goes up
-until its collet is at the top of the travel, or its tip at the safe height, across there, and down; at its lowest tip,
-anywhere in its rectangle, no part of the stack meets a box.
+stays clear when it goes up, and these rules are enough for every motion, wherever the tool is parked: it goes up until
+its collet is at the top of the travel or its tip at the safe height, goes across there, and comes down; at its lowest
+tip, anywhere in its rectangle, no part of the stack meets a box.
 
-Heights are of the work frame, Z0 on top of the block, unless they are over the table: Z0 is base + thickness there.
+Heights are in the work frame, Z0 on top of the block, unless they are stated over the table, where Z0 is at base +
+thickness.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from math import hypot, inf
 from cam.passes import Clamp
 
 NOSE_CLEARANCE_MM = 2.0
-"""Of air between the nose (nut and holder) and what stands under it at the deepest cut."""
+"""Air between the nose (nut and holder) and anything below it at the deepest cut."""
 
 ABOVE_CLAMPS_MM = 1.0
-"""Of air between rapids and what is highest: it is set by hand, and its screw stands out."""
+"""Air between rapids and the highest clamp: clamps are set by hand, and their screws stand out."""
 
 CLAMP_GRIP_MM = 8.0
 """Width of the block's top that a clamp needs."""
@@ -29,7 +30,7 @@ CLAMP_GRIP_MM = 8.0
 USUAL_NOSE_MM = ((25.0, 25.0), (40.0, 100.0))
 """Nut and holder where a mill's are not known: as wide as those of ER32. A guess on the safe side of small mills."""
 
-_USUAL_FLUTES = 2.0  # diameters; a guess, where the flutes are not stated: they are not to be clamped
+_USUAL_FLUTES = 2.0  # diameters; a guess where the flutes are not stated, which must not be clamped
 _ROUNDING_MM = 1e-6
 
 
@@ -37,8 +38,9 @@ _ROUNDING_MM = 1e-6
 class Reach:
     """Where one program takes its tool.
 
-    radius_mm       : of the cutter; shank_radius_mm: of what is above its flutes; None: no thicker
+    radius_mm       : of the cutter; shank_radius_mm: of the shank above its flutes; None: no thicker
     beyond_mm       : how far the axis goes beyond the aperture, along X and along Y
+    strip_mm        : left, right, front and back of all that the axis goes over, where that is not the aperture's area
     lowest_mm       : of its tip
     stick_out_mm    : from tip to collet, as clamped; None: not stated, so as little as it needs
     flute_length_mm : not to be clamped; None: not stated
@@ -47,6 +49,7 @@ class Reach:
     radius_mm: float
     beyond_mm: tuple[float, float]
     lowest_mm: float
+    strip_mm: tuple[float, float, float, float] | None = None
     shank_radius_mm: float | None = None
     stick_out_mm: float | None = None
     flute_length_mm: float | None = None
@@ -67,7 +70,7 @@ class Envelope:
     safe_z_mm        : height of rapids across
     travel_z_mm      : of the head
     bed_to_collet_mm : from the table to the collet's face while the head is at its top; None: not known
-    gantry_mm        : from the table to what spans it; None: nothing
+    gantry_mm        : from the table to the underside of the gantry; None: the mill has none
     nose_mm          : cylinders (radius, length) from the collet's face up
     """
 
@@ -98,11 +101,11 @@ class Envelope:
             over_mm += length_mm
 
     def least_stick_out_mm(self, reach: Reach) -> float:
-        """Return how far a tool must stick out at least: the one rule of plans, checks and the setup sheet.
+        """Return how far a tool must stick out at least. Plans, checks and the setup sheet all use this rule.
 
         At its lowest the collet's face is above the block, each cylinder of the nose above the clamps that it reaches,
-        and the flutes are outside the collet. Where no clamps are named but have room on top, they may be as high as
-        rapids allow.
+        and the flutes are outside the collet. Clamps that are not named, but have room on top, may be as high as rapids
+        allow.
         """
         needs_mm = [max(0.0, self.top_mm)]
         if not self.clamps and self.margin_mm - max(reach.beyond_mm) - reach.radius_mm >= CLAMP_GRIP_MM:
@@ -121,13 +124,18 @@ class Envelope:
         """Return how far a tool sticks out: as stated, or as little as it needs."""
         return self.least_stick_out_mm(reach) if reach.stick_out_mm is None else reach.stick_out_mm
 
+    def area_mm(self, reach: Reach) -> tuple[float, float, float, float]:
+        """Return left, right, front and back of what a tool's axis goes over."""
+        x_mm, y_mm = reach.beyond_mm
+        return reach.strip_mm or (-x_mm, self.width_mm + x_mm, -y_mm, self.height_mm + y_mm)
+
     def distance_mm(self, reach: Reach, clamp: Clamp) -> float:
         """Return the distance of a clamp from the rectangle that a tool's axis goes over, seen from above."""
-        sides = (
-            (reach.beyond_mm[0], self.width_mm, clamp.x_mm, clamp.width_mm),
-            (reach.beyond_mm[1], self.height_mm, clamp.y_mm, clamp.depth_mm),
+        left, right, front, back = self.area_mm(reach)
+        return hypot(
+            max(clamp.x_mm - right, left - clamp.x_mm - clamp.width_mm, 0.0),
+            max(clamp.y_mm - back, front - clamp.y_mm - clamp.depth_mm, 0.0),
         )
-        return hypot(*(max(low - size - beyond, -beyond - low - wide, 0.0) for beyond, size, low, wide in sides))
 
     def find_struck(self, reach: Reach) -> Iterator[tuple[int, float]]:
         """Yield (number, distance from the axis) of the clamps that the cutter or its shank comes too near to."""
@@ -138,11 +146,12 @@ class Envelope:
                 yield number, away_mm
 
     def base_range_mm(self, reaches: Iterable[Reach]) -> tuple[float, float]:
-        """Return the least and the greatest height of what the block may lie on; none will do if they are crossed.
+        """Return the least and the greatest height of the base under the block; no height works if the least is
+        greater.
 
-        At most: with every tool the tip comes to the safe height within the travel, and what stands on the table
-        goes under the gantry. At least: every tool comes down to its lowest tip within the travel, and none cuts
-        into the table.
+        At most: with every tool the tip comes to the safe height within the travel, and everything on the table passes
+        under the gantry. At least: every tool comes down to its lowest tip within the travel, and none cuts into the
+        table.
         """
         least_mm, most_mm = self.through_mm, inf
         if self.gantry_mm is not None:

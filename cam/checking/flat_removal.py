@@ -37,9 +37,11 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
     first_row, first_row + row_step, ... only.
 
     cutter             : radius, radius of the corner (0 of a flat end), rim: cells nearer to the rim of the end than
-                         that are cut, but do not count; how much lower a rapid straight down counts
+                         that, beside the way or around its ends, are cut but do not count, unless a later move goes
+                         farther over them; how much lower a rapid straight down counts
     stock              : (ceiling, tile, shank reach, flutes, shank ceiling), see `cam.checking.sweep`
-    visit              : way so far (1,), and of each cell the way when it was cut last and its height when that began
+    visit              : path length so far (1,); for each cell the length at its last cut, and its height when that cut
+                         began
     found              : of each move (n,) the greatest drop, its flat cell (-1: none), and the tally (n, 5) of
                          `cam.checking.sweep`
     The height left at a cell is the lowest height of the end while its centre is within the radius of the cell.
@@ -100,17 +102,21 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
                 seen[j, i] = way[0]
                 tally[k, REACH] = max(tally[k, REACH], top[j, i] - az - slope * at)
                 tally[k, LEFT if dy * ex > dx * ey else RIGHT] += off * cell * cell
-                top[j, i] = height
                 by_line[j, i] = line[k]
-                if begun[j, i] - height > drops[k] and half2 > rim * (2.0 * radius - rim):
+                past = u - min(max(u, 0.0), length)
+                if half2 - past * past <= rim * (2.0 * radius - rim):
+                    top[j, i] = height + 2.0 * _SLIVER_MM  # a move that goes farther over the cell finds it again
+                    continue
+                top[j, i] = height
+                if begun[j, i] - height > drops[k]:
                     drops[k] = begun[j, i] - height
                     places[k] = j * nx + i
 
 
 @njit(cache=True, nogil=True)
 def _find_lowest(u, w2, first, last, slope, radius, corner):  # type: ignore[no-untyped-def]
-    """Find where from `first` to `last` on its way the end leaves least at a place lying at u along the way and at a
-    distance of square w2 beside it. That is convex along a move.
+    """Find the position between `first` and `last` on the way at which the end cuts lowest at a place u along the way,
+    w2 being the square of its distance beside the way. The height is convex along a move.
     """
     if slope == 0.0:
         return min(max(u, first), last)
@@ -129,7 +135,7 @@ def _find_lowest(u, w2, first, last, slope, radius, corner):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _climb(u, w2, at, slope, radius, corner):  # type: ignore[no-untyped-def]
-    """Return how fast the height that the end leaves there climbs with its way."""
+    """Return how fast the height that the end leaves there rises along its way."""
     away = math.sqrt(w2 + (u - at) ** 2)
     beyond = away - (radius - corner)
     if beyond <= 0.0:
@@ -158,7 +164,7 @@ class FlatRemoval(RemovalGrid):
         shares: int = 1,
         shank: tuple[float, float] | None = None,
     ) -> None:
-        """Begin as RemovalGrid does. rim_mm: how far a repeated way may lie beside itself, by its digits."""
+        """Begin as RemovalGrid does. rim_mm: how far two runs of the same way may lie apart, by its digits."""
         super().__init__(stock, radius_mm=radius_mm, rapid_clearance_mm=rapid_clearance_mm, shares=shares, shank=shank)
         self._corner_mm, self._rim_mm = float(corner_mm), float(rim_mm)
         self._ways = np.zeros((shares, 1))
@@ -178,7 +184,7 @@ class FlatRemoval(RemovalGrid):
         return Drops(depth_mm=drops, cell=cells, tally=tally)
 
     def cut_at_rest(self) -> tuple[float, int]:
-        """Return nothing: the removal where an end stops counts for the move that ends there."""
+        """Do nothing: the removal where an end stops counts for the move that ends there."""
         return 0.0, -1
 
 

@@ -1,4 +1,4 @@
-"""Rules every move must keep on the stock: depth of cut, rapids clear of it, spindle, gouge; and the running totals.
+"""Rules for every move on the stock: depth of cut, rapids clear of it, spindle, gouge; and the running totals.
 
 Findings are gathered move by move: the number, the first and the worst of each kind, as one sentence. The rules of the
 mill, which do not depend on the stock, are in `machines.preflight.rules`.
@@ -78,7 +78,7 @@ class Finding:
         ]
 
 
-_TOUCH_MM = 1e-6  # a drop smaller than this is no cut (rounding)
+_TOUCH_MM = 1e-6  # a drop smaller than this is rounding, not a cut
 _AXES = "xyz"
 
 
@@ -96,8 +96,8 @@ def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-de
 
 
 def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
-    """Return what a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5
-    %. A flat cutter leaves stairs, which its moves between them have to take off too.
+    """Return how much a move may take off beyond the step-down: the cusps of the layer before on the steepest slope,
+    and 5 %. A flat cutter leaves stairs, and its moves between them must take these off too.
 
     steepest : greatest slope |grad h| of the lens
     """
@@ -294,7 +294,7 @@ class MoveRules:
         self._outside.note_moves(beyond > 1e-6, beyond, batch.line, end)
 
     def note_gouge(self, depth_mm: float, line: int, place_mm: tuple[float, float]) -> None:
-        """Note a gouge seen in a cell rather than by contact; it counts only when it is the worst."""
+        """Add a gouge that shows in a cell and not by contact; it counts only if it is the worst."""
         if depth_mm > self._gouge_allowed_mm and depth_mm > self._gouge.worst:
             self._gouge.note(depth_mm, line, *place_mm)
         self.gouge_mm = max(self.gouge_mm, depth_mm)

@@ -32,17 +32,17 @@ from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield, spline_jet
 
 ON_SURFACE_MM = 0.01
-"""A move that is higher above the surface than this, and than 1.5 times the stock to leave, does not make the surface.
+"""A move that is higher above the surface than this, and than 1.5 times the stock to leave, does not form the surface.
 """
 
 _CONTEXT = 64
-"""Most moves on either side by which a vertex is judged."""
+"""The most moves on either side that are considered to judge a vertex."""
 
 SLOPE_THAT_COUNTS = 0.01
 ALIGNED_RAD = math.radians(15.0)
 SHARP_RAD = math.radians(60.0)
 TIGHT_PITCHES = 5.0
-_CLOSE_MM = 1e-3  # of the contact: the gradient there changes by that times the curvature
+_CLOSE_MM = 1e-3  # error of the contact: the gradient changes by that times the curvature
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,10 +9,9 @@ Theory of operation. Over a whole path a point gets its lowest cut at an s* insi
 local minimum from both sides. So a move visits only the cells whose s* lies in it (a strip as long as the move, bent
 where the move is steep, as s* depends on rho; not the ball's whole disc), plus, before it, the wedge that its corner
 with the previous move opens. After a sharp turn, a stop or a change between rapid and feed it is the whole disc of the
-corner, counted for the move that ends there. Nothing is lost by this, and the drop found at a cell is the full depth of
-cut there, not the sliver that one short move adds. Tiles of cells whose highest stock, their crown, lies below the
-whole ball are skipped. Windows are small squares of the part, simulated with fine cells, where a mistake would be
-largest.
+corner, counted for the move that ends there. This loses nothing, and the drop found at a cell is the full depth of cut
+there, not the sliver that one short move adds. Tiles of cells whose highest stock, their crown, lies below the whole
+ball are skipped. Windows are small squares of the part, simulated with fine cells, where a mistake would be largest.
 
 Two threads share a grid by rows (even, odd): every cell is written by one thread, so the result does not depend on
 them.
@@ -58,9 +57,9 @@ class RemovalGrid:
         shares: int = 1,
         shank: tuple[float, float] | None = None,
     ) -> None:
-        """Begin. rapid_clearance_mm: a rapid straight down that ends nearer to stock takes some off; shares: sets of
-        rows into which the work may be split; shank: how near to the axis stock may not stand higher above the tip than
-        what.
+        """Begin. rapid_clearance_mm: a rapid straight down that ends nearer to stock counts as cutting; shares: sets of
+        rows into which the work may be split; shank: a distance from the axis, and the height above the tip that stock
+        within it must not exceed.
         """
         self.x0_mm, self.y0_mm, self.cell_mm = stock.x0_mm, stock.y0_mm, stock.cell_mm
         self.top_mm = stock.top_mm.copy()

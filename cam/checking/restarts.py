@@ -1,7 +1,8 @@
 """Finds the lines at which a program may be entered again after a break: before each layer, before other entries from
 the safe height, and where rows turn, which raster rows do outside the lens.
 
-A line relies on what comes before it: the place of the tool, the motion word, the feed. So each point states them.
+A line depends on the lines before it for the place of the tool, the motion word and the feed, so each point states
+them.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from optics.heightfield import Array
 MOST_POINTS = 12
 LEAST_GAP_S = 60.0  # of machine time, between two points
 _LOWER_MM = 0.1  # that begins a layer
-_ROW_SHARE = 0.5  # of the longest run along the rows: what is shorter is a ramp or a corner
+_ROW_SHARE = 0.5  # of the longest run along the rows: shorter ones are ramps or corners
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +103,7 @@ def _point(batch: MoveBatch, k: int, kind: Literal["entry", "row"]) -> RestartPo
 def choose_points(
     points: Sequence[RestartPoint], time_at_s: Callable[[int], float], whole_s: float
 ) -> list[tuple[RestartPoint, float]]:
-    """Return MOST_POINTS points at most, each with its time from the start [s]: the layers, and others that divide the
+    """Return at most MOST_POINTS points, each with its time from the start [s]: the layers, and others that divide the
     longest times between them.
 
     time_at_s : of a line; whole_s: of the program
@@ -118,7 +119,7 @@ def choose_points(
 def _divide_longest_gap(
     timed: Sequence[tuple[RestartPoint, float]], chosen_s: Sequence[float], whole_s: float
 ) -> tuple[RestartPoint, float] | None:
-    """Return the point nearest to the middle of the longest gap that one divides; None if there is none."""
+    """Return the point nearest to the middle of the longest gap that has a point in it; None if there is none."""
     ends_s = sorted([0.0, *chosen_s, whole_s])
     for low_s, high_s in sorted(pairwise(ends_s), key=lambda gap: gap[0] - gap[1]):
         within = [one for one in timed if low_s + LEAST_GAP_S <= one[1] <= high_s - LEAST_GAP_S]

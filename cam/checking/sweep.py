@@ -9,8 +9,8 @@ from numba import njit
 
 _SMOOTH_COS = 0.9  # corners sharper than this (26 degrees) get their whole disc
 _SLACK = 1e-9
-_RIM = 1e-12  # of the squared radius: nearer the rim of the disc than rounding errors a cell is touched and not cut
-_NO_WEDGE = 2.0  # no sine of a slope
+_RIM = 1e-12  # of the squared radius: a cell closer to the rim of the disc than rounding errors is touched, not cut
+_NO_WEDGE = 2.0  # a value that no sine of a slope has
 _TIMES, _PARALLEL = 3, 1e-3  # turns of narrowing a strip down; one does where the way is parallel to an axis
 TILE = 8  # cells a side, whose highest one is known
 _STILL_MM = 1e-9  # a move shorter than this in plan is vertical
@@ -169,7 +169,7 @@ def _lower(crowns, tiles, across, top, first_row, row_step):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _between(w_lo, w_hi, strip):  # type: ignore[no-untyped-def]
-    """Return between which u lie the points w_lo <= |w| <= w_hi cut lowest by this move, or in the wedge before.
+    """Return the range of u of the points with w_lo <= |w| <= w_hi that this move, or the wedge before it, cuts lowest.
 
     wedge : cosine and sine of the turn, tilt of the move before; _NO_WEDGE where none opens
     """
@@ -190,7 +190,7 @@ def _between(w_lo, w_hi, strip):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _bent(d_lo, d_hi, e_in, e_out, low, high, strip):  # type: ignore[no-untyped-def]
-    """Return from, to in u of the strip where it meets cell lines d_lo to d_hi beside the start; and the least |w|.
+    """Return (from, to) in u of the strip where it meets cell lines d_lo to d_hi beside the start, and the least |w|.
 
     The strip of a steep move is bent like the ball: with |w| nearly known, u is as well. w = (d - u e_out) / e_in.
     """
@@ -241,7 +241,8 @@ def sweep(  # type: ignore[no-untyped-def]
     crowns   : highest stock in each TILE x TILE cells, of these rows; kept up to date
     shank    : (reach, flutes, ceiling): nothing within reach of the axis may stand higher than that above the tip;
                reach 0: not asked
-    keep_off : where a rapid along Z ends the ball counts as this much lower, so that coming too near shows as a drop
+    keep_off : at the end of a rapid along Z the ball counts as lower by this, so that a rapid too near the stock shows
+               as a drop
 
     drops, places (n + 1) : greatest drop and its cell; slot k + 1 is move k, slot 0 the last move before these
     tally (n + 1, 5)      : see LEFT ... STRIKE_CELL
@@ -299,7 +300,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 wedge = (turn_cos, turn_sin, corner[_TILT] if smooth else _NO_WEDGE)
                 strip = (radius, wide, tilt, length, wedge)
                 u_lo, u_hi = _between(0.0, wide, strip)
-                across = abs(ex) < abs(ey)  # lines of cells run along the axis that is nearer to the way
+                across = abs(ex) < abs(ey)  # lines of cells run along the axis closer to the direction of the move
                 e_in, e_out = (ey, ex) if across else (ex, ey)
                 a_in, a_out = (ay - y0, ax - x0) if across else (ax - x0, ay - y0)
                 n_in, n_out = (ny, nx) if across else (nx, ny)
@@ -337,7 +338,7 @@ def sweep(  # type: ignore[no-untyped-def]
                             w = d_in * e_out - d_out * e_in if across else d_out * e_in - d_in * e_out
                             height = top[row, column]
                             rho2 = radius * radius - w * w
-                            over = lowest + radius - height  # the ball is nowhere lower than this less rho
+                            over = lowest + radius - height  # the ball is nowhere lower than this minus rho
                             if rho2 <= rim2 or (over > 0.0 and rho2 <= over * over):
                                 continue
                             rho = math.sqrt(rho2)

@@ -2,10 +2,11 @@
 
 A gap is the widest circle without a track in it; between two long tracks its width is their distance. The gap is
 measured between tracks of the TIP, seen from above, at all places where a tip makes the ball touch the aperture. On a
-slope s the contact lies R s beside the tip, and in a hollow of curvature k contacts spread to 1 / (1 - R k) of what
-tips are apart; but it is the tips' distance p that tilts the ball from one track to the next: cusps are as steep as +-p
-/ 2R and as high as p^2 / (8 R (1 - R k)), so light sees tips. Along the slope tracks are farther apart than from above
-by 1 / cos of the slope across them, 2 % at 0.2; the rows of a raster are spaced from above, too.
+slope s the contact lies R s beside the tip, and in a hollow of curvature k contacts lie 1 / (1 - R k) times as far
+apart as tips; but the tips' distance p determines how the ball tilts from one track to the next: cusps are as steep as
++-p / 2R and as high as p^2 / (8 R (1 - R k)), so the distance of tips is what shows in the light. Along the slope
+tracks are farther apart than from above by 1 / cos of the slope across them, 2 % at 0.2; the rows of a raster are
+spaced from above, too.
 
 Theory. Tracks paint the pixels whose centres lie within half a pitch of them; a pixel is 1/80 of a pitch. The distance
 to the nearest track changes by no more than the step between two places, so a place farther than half a pitch and half
@@ -155,7 +156,7 @@ class TrackGaps:
         return found
 
     def _find_emptiest(self) -> tuple[float, float, float]:
-        """Return (distance, x, y) of the place farthest from all tracks, where that is more than a few pitches.
+        """Return (distance, x, y) of the place farthest from all tracks, if it is more than a few pitches away.
 
         Some of the cells farthest from cells with tracks are tried; the ascent starts from the best.
         """

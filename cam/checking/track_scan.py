@@ -110,7 +110,7 @@ def _paint_strip(bits, columns, rows, ax, ay, ex, ey, first, last, radius):  # t
 @njit(cache=True, nogil=True)
 def _overhang(ex, ey, fx, fy, radius):  # type: ignore[no-untyped-def]
     """Return how far both strips must reach beyond a joint from direction e to f to close its outer wedge; -1: paint a
-    disc.
+    disc instead.
 
     It adds overhang^2 / 2 radius to the radius there, 0.1 % of it at most.
     """

@@ -87,7 +87,7 @@ class ContourField:
     density (ny, nx)  : class, 0 at the greatest gradient
     level_mm          : between the levels of class 0: two reaches where the gradient is greatest
     wanted (ny - 1, nx - 1) : cells with places that must lie near a track: the aperture, and where the ball touches it
-    traced (ny - 1, nx - 1) : cells in which tracks may run: those, and what lies so near that its tracks reach them
+    traced (ny - 1, nx - 1) : cells in which tracks may run: those, and cells so near that their tracks reach them
     ring_mm : how far outside the aperture tracks may end
     """
 
@@ -183,7 +183,8 @@ def _mask_traced(
 
 
 def _density(needed: Array, usual: float, dip: float, ramp: float) -> Array:
-    """Return (ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps.
+    """Return (ny, nx) class, whole part at least `needed`: without short dips below the usual class, in steps with
+    ramps.
 
     dip  : length of a dip that is short, in steps of the grid
     ramp : share of a class step
@@ -197,7 +198,7 @@ def _density(needed: Array, usual: float, dip: float, ramp: float) -> Array:
 
 
 def _solve_field(heightfield: Heightfield, surface: ToolSurface, stretch: float) -> BicubicSpline:
-    """Return f over the aperture; around it, as far as the ball runs out, f is continued by its slope."""
+    """Return f over the aperture, continued by its slope around it as far as the ball runs out."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     spacing = max(max(width_mm, height_mm) / NODES, 0.05)
     nx, ny = (max(8, round(side / spacing)) + 1 for side in (width_mm, height_mm))

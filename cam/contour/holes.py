@@ -3,9 +3,9 @@
 Theory of operation: places too far from every track are found on an exhaustive bitmap, strip by strip, one bit a pixel,
 32 pixels to the pitch. Every segment of a track covers a capsule, the places within REACH_PITCHES of it; on a row of
 pixels that is one interval, the hull of what its two discs and its slab cover. The distance to the nearest track
-changes by no more than the distance between two places: a place farther than half a pitch + 1 % from all tracks has a
-pixel without cover within half a diagonal, 0.022 pitches. No hole that wide can hide between pixels. Bare pixels are
-returned as blocks of four by four.
+changes by no more than the distance between two places: a place farther than half a pitch + 1 % from all tracks has an
+uncovered pixel within half a diagonal, 0.022 pitches. No hole that wide can hide between pixels. Bare pixels are
+returned in blocks of 4 x 4.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ A joint is the shortest curve of bounded curvature (Dubins 1957): three pieces o
 straights, one of the six words LSL, RSR, LSR, RSL, RLR, LRL. Formulas after Shkel and Lumelsky (2001), lengths in
 radii.
 
-A tour that always takes the nearest track leaves some behind and finally crosses the lens for them. Its long joints are
-shortened by 2-opt and Or-opt moves (Croes 1958, Or 1976). Only joints longer than an ordinary turn are tried, each
+A tour that always takes the nearest track leaves some behind and crosses the lens for them at the end. Its long joints
+are shortened by 2-opt and Or-opt moves (Croes 1958, Or 1976). Only joints longer than an ordinary turn are tried, each
 against all others. A joint has the same length backwards, so parts of a tour may be reversed.
 """
 
@@ -129,7 +129,7 @@ def draw(x, y, h, radius, word, a, b, c, out, count):  # type: ignore[no-untyped
 def shorten(into, out, radius, order, turned):  # type: ignore[no-untyped-def]
     """Change order (n + 1,), turned (n + 1,) so that the joints between the stops are shorter; the first stop stays.
 
-    Stop k is entered by the pose into[k] and left by out[k], or the other way if it is reversed.
+    Stop k is entered by the pose into[k] and left by out[k], or the other way round if it is reversed.
     """
     n = order.size - 1
     half = math.pi * radius

@@ -3,7 +3,7 @@
 Lines in the plane of class and level are born in gaps and never cross. At a whole class j the tracks are the levels
 m S_j, S_j = S_0 / RATIO^j, m any whole number. From class to class every line glides to the nearest level of the denser
 one; levels that no line takes are born at the start of the glide, in between. Neighbours are thus nowhere farther apart
-than S_j, the spacing that the class stands for, and of a family born together the next is more than ten pitches away:
+than S_j, the spacing that the class stands for, and the next line born at the same place is more than ten pitches away:
 room for a turn.
 
 Every cell of the grid is cut along its diagonal, so no case is ambiguous. A line is the zero of f less its own level,

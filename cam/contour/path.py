@@ -1,8 +1,9 @@
 """The contour strategy: one unbroken path along the contours of the surface, from field to tips.
 
-Field -> level lines at the density that its spacing requires -> strokes over what they leave -> one tour. So far the
-path is plane: its vertices are on the raster of written x and y, its chords within a hundredth of the pitch of the
-level line. Last, each vertex gets its height by exact contact, and chords are cut until slope and sag keep the rule.
+Field -> level lines at the density that its spacing requires -> strokes over the gaps between them -> one tour. Up to
+here the path is flat: its vertices are on the raster of written x and y, its chords within a hundredth of the pitch of
+the level line. Last, each vertex gets its height by exact contact, and chords are cut until slope and sag keep the
+rule.
 
 A chord is judged by the surface at its ends and its middle, and cut into as many parts as a constant curvature would
 require. Curvature is not constant, so every part is judged again: where the surface bulges over a chord the tool would
@@ -41,7 +42,7 @@ SHORTEST_LOW_MM = 0.003
 """Shortest parts where a chord cuts too low: under a ball of 0.1 mm that is 11 nm."""
 
 MOST_PARTS, WAITING = 64, 512
-"""Parts cut at once; parts that wait to be judged, several times cut."""
+"""Most parts of one cut; most parts that wait to be judged, cut several times."""
 
 
 def contour_path(
@@ -109,8 +110,8 @@ def tips_along(ball: Ball, rule: VertexRule, xy: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _lie(b, x, y, px, py, tip):  # type: ignore[no-untyped-def]
-    """Compute tip (7,): x, y, z, contact, gradient. The gradient of the tips' surface at (x, y) is that of the lens at
-    the contact.
+    """Compute tip (7,): x, y, z, contact, gradient. The gradient of the tips' surface at (x, y) equals that of the lens
+    at the contact.
     """
     px, py, z = touch(b, x, y, px, py)[:3]
     jet = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)

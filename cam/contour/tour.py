@@ -3,7 +3,7 @@
 Everything lies on the surface, so joints may cross tracks. A joint is the shortest curve of bounded curvature between
 two headings; its length is the cost by which the next track is chosen. A joint to the neighbour at one pitch is
 expensive, while one to a track ten pitches away is a half circle. So rows come out interleaved, like a racetrack,
-without a rule for that. An open track is entered at either end; a closed one at any of its places, in both senses, and
+without a rule for that. An open track is entered at either end; a closed one at any of its places, in either sense, and
 left where it was entered.
 """
 
@@ -195,8 +195,8 @@ def _is_closed(xy, first, last):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _choose_stops(xy, start, e, radius, into, out, stops):  # type: ignore[no-untyped-def]
-    """From into[0], always go to the nearest track; write the poses into[n] and out[n], and the track, its first vertex
-    and its sense to stops[n].
+    """Starting at into[0], always go to the nearest track. Write the poses to into[n] and out[n], and the track, its
+    first vertex and its sense to stops[n].
     """
     used = np.zeros(start.size - 1, np.bool_)
     out[0] = into[0]

@@ -1,8 +1,8 @@
-"""Traces level lines of f as polylines, where there are wanted places beside them.
+"""Traces level lines of f as polylines, wherever places beside them must be covered.
 
 Several lines cross one cell: the grid need not resolve the pitch. Triangles are listed per line; from any of them the
 line is followed both ways until it closes or ends. Raw points lie where edges are crossed, see `levels`, and most of
-them are left out: the farthest point is kept whose chord passes all points between within the sag.
+them are left out: the next point kept is the farthest one whose chord passes all points between within the sag.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class ContourLines:
 
 
 def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
-    """Trace all level lines, as far as places are wanted beside them."""
+    """Trace all level lines, as far as places beside them must be covered."""
     classes = int(np.ceil(field.density.max())) + 2
     levels = level_tree(float(field.f.min()), float(field.f.max()), field.level_mm, classes)
     grid = field.f, field.density, field.traced, levels

@@ -1,9 +1,9 @@
 """Estimates the time of a pass before it is written: rows at the speed that feed, line rate and look-ahead allow.
 
 `cam.duration` gives the time of a written program; this is within some percent of it, from the lens's form alone. The
-speed of a chord is the least of: the feed; its length times the lines a second; what the look-ahead window, chords of
-that length, can still brake from. Chords are as long as `cam.rows.vertices` allows on the path of the tip, which is the
-lens's curvature offset by the ball.
+speed of a chord is the least of: the feed; its length times the lines a second; the speed from which it can brake
+within the look-ahead window, at chords of that length. Chords are as long as `cam.rows.vertices` allows on the path of
+the tip, which is the lens's curvature offset by the ball.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class LensForm:
         return _tips_mm(self, radius_mm)
 
     def lowest_tip_mm(self, radius_mm: float) -> float:
-        """Return the lowest of them; a flat cutter of that radius stays higher."""
+        """Return the lowest height of the ball's tip; a flat cutter of that radius stays higher."""
         return float(self.tips_mm(radius_mm).min())
 
     @property
@@ -118,18 +118,18 @@ class LensForm:
         """Return rms slopes that the rows of a pass leave across them, over those on a flat lens: a sloping ball is
         steeper.
 
-        Not more so in a hollow of curvature k: its rows' contacts lie farther apart by 1 / (1 - kR), and between them
-        ball and lens part by as much less.
+        A hollow of curvature k does not change that: the contacts of its rows lie farther apart by 1 / (1 - kR), and
+        ball and lens diverge between them by as much less.
         """
         return _steepness(self, spec.strategy, spec.direction)
 
     def widen_factor(self, spec: PassSpec, reach_mm: float) -> float:
-        """Return how much farther than their slope errors alone the grooves of a pass send light, rms.
+        """Return the factor by which the grooves of a pass spread light farther than their slope errors alone, rms.
 
         reach_mm : how far a slope of 1 deflects light; negative if a hollow focuses it, on a mirror
 
-        A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light is spread over as much
-        by where it starts, and over reach / R of that by its slopes.
+        A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light starts that wide, and its
+        slopes add reach / R of that width.
         """
         return _widen_factor(self, spec.strategy, spec.direction, spec.radius_mm, reach_mm)
 
@@ -146,8 +146,8 @@ class LensForm:
         return _usual_chord_mm(self, replace(spec, pitch_mm=spec.radius_mm))  # the same for all pitches
 
     def tip_ways(self, spec: PassSpec) -> Array:
-        """Return (n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds
-        it.
+        """Return (n,) path of a ball's tip along the rows over the path of its contact: small in a hollow that the ball
+        just fits.
         """
         return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
 

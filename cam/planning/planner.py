@@ -25,8 +25,8 @@ from cam.tools import Tool, tool_pass
 from phrases.phrase import Phrase
 
 DOUBLING_DB = 0.75
-"""Gain of a picture that is worth twice the time; an eye sees about 1. Behind a finish the best is flat: within 0.3 dB
-from 1.2 to 6.8 h for `chelsea`, 60 mm. With 1, finishes of small lenses do not pay.
+"""The gain in the picture that is worth twice the time; an eye sees about 1. After a finish the optimum is flat: within
+0.3 dB from 1.2 to 6.8 h for `chelsea`, 60 mm. With 1, finishing small lenses would not pay.
 """
 
 WORTH_DB = 0.03
@@ -48,7 +48,7 @@ class Goal:
 
     @property
     def is_quality(self) -> bool:
-        """Whether a picture as good as that is wanted, in the least time."""
+        """Whether the goal is a picture of a given quality in the least time."""
         return self.psnr_db is not None or self.blur_mm is not None
 
 
@@ -293,7 +293,7 @@ def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
 
 
 def _select_front(candidates: list[Candidate]) -> tuple[Candidate, ...]:
-    """Select candidates that are better by more than WORTH_DB than all that are quicker, or as quick and cheaper."""
+    """Select candidates that are better by more than WORTH_DB than all that are quicker, or as quick but cheaper."""
     front: list[Candidate] = []
     for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
         if not front or one.psnr_db > front[-1].psnr_db + WORTH_DB:

@@ -52,7 +52,7 @@ class Filled:
 
     @cached_property
     def share(self) -> float:
-        """Of the lens's area."""
+        """Share of the lens's area."""
         return float(self.core().mean())
 
     def within(self, reach_mm: float, cusp_mm: float = 0.0) -> Mask:
@@ -146,8 +146,8 @@ class RestWork:
 def _choose_smaller(
     big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]
 ) -> Tool | None:
-    """Return the largest ball that reaches what the big one leaves, or the one that reaches most; None if none is of
-    use.
+    """Return the largest ball that reaches all the stock that the big one leaves, or else the one that reaches most;
+    None if none is useful.
     """
     if left.share == 0:
         return None

@@ -22,7 +22,7 @@ _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
 _GUESS_SHARE = 1.25  # of the lowest estimate: first passes of tools above it are not computed
 _STEEP_SHARE = 0.8  # of the pitch that a coarse lens allows: a fine one is steeper
 _STAIRS_SHARE = 0.35  # of a whole layer's time, for the stairs of flat ends; 0.16 to 0.49 in six jobs
-_CHANGE_S = 300.0  # that one more tool must save
+_CHANGE_S = 300.0  # seconds that one more tool must save
 _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 """Least stock that a first pass leaves; and the most, in layers of the finish, if the finish is to need no layers."""
 
@@ -42,7 +42,7 @@ class Before:
     quickly: bool = False
 
     def layers_s(self, form: LensForm, after: PassSpec, shop: Shop) -> float:
-        """Return the seconds that the next pass needs for stock that is too much for one move."""
+        """Return the seconds that the next pass needs where there is too much stock for one move."""
         last = self.passes[-1]
         if last.is_ball:
             return finish_layers_s(form, after, self.depth_mm, shop.mill)

@@ -31,7 +31,7 @@ _CHOSEN_ROWS, _CHOSEN_CHORDS = (
     0.09,
     0.07,
 )  # of the errors, where `cam.rows.rounding` puts vertices on whole steps of 2 um:
-# its rows on a lens with slopes of 0.22 rms, balls of 1 and 6 mm, are off by 0.05 um and 0.5 mrad rms
+# rows on a lens with slopes of 0.22 rms, balls of 1 and 6 mm, are off by 0.05 um and 0.5 mrad rms
 _HIDDEN = 0.53  # fits the facets of `cam.as_milled` within 15 % for balls of 0.5 to 6 mm
 
 
@@ -53,7 +53,7 @@ class SlopeSpread:
         return SlopeSpread(slope=steepness * self.slope, share=self.share)
 
     def transfer(self, waves: Array, reach: float) -> Array:
-        """Return what is left of a wave of the picture, when slope s sends light `reach` x s aside: the mean of cos.
+        """Return the remaining part of a wave of the picture if slope s deflects light by `reach` x s: the mean of cos.
 
         waves : (k,) per unit of reach x slope
         """
@@ -62,7 +62,7 @@ class SlopeSpread:
         return _mean_cosine(np.asarray(waves) * step, self.share[half:])
 
     def compute_share_inside(self, places_mm: Array, end_mm: float, reach_mm: float) -> Array:
-        """Return (n,) share of the usual light that places between 0 and end_mm get, with darkness beyond both."""
+        """Return (n,) share of the usual light at places between 0 and end_mm, with darkness beyond both ends."""
         sent = np.concatenate([[0.0], np.cumsum(self.share)])
         over = [1.0 - sent[np.searchsorted(self.slope * reach_mm, d)] for d in (places_mm, end_mm - places_mm)]
         return np.asarray(1.0 - over[0] - over[1])
@@ -112,9 +112,9 @@ def row_slopes(
     step_mm     : smallest move of the mill's axes
     noise_mm    : sigma of the height error from row to row
     vertex_mm   : usual distance of the vertices along a row
-    whole_steps : vertices are put where the path goes through whole steps, as far as it does
-    steepness   : of slopes across the rows, by those on a flat lens
-    tooth_rad   : rms of what steps within moves leave along the rows: `tooth_slopes_rad`
+    whole_steps : vertices are placed where the path crosses whole steps, as far as it does
+    steepness   : of slopes across the rows, over those on a flat lens
+    tooth_rad   : rms of the slopes that steps within moves leave along the rows: `tooth_slopes_rad`
     """
     left_of_rows, left_of_chords = (_CHOSEN_ROWS, _CHOSEN_CHORDS) if whole_steps else (1.0, 1.0)
     step_off_mm = left_of_rows * step_mm / sqrt(12)
@@ -134,9 +134,9 @@ def row_slopes(
 def tooth_slopes_rad(slopes: Array, *, radius_mm: float, step_mm: float) -> float:
     """Return the rms slopes along rows that go up `slopes` (n,) by whole steps, each a tooth s / m long.
 
-    The ball leaves slopes even in +-s / 2mR; on the longest teeth only for the sqrt(2Rs) that it takes to come down a
-    step. Neighbouring rows hide a little of it: `cam.as_milled` has within a fifth of it, for balls of 0.5 to 6 mm,
-    steps of 0.5 to 4 um and pitches of 0.02 to 0.2 mm.
+    The ball leaves slopes even in +-s / 2mR; on the longest teeth only over the sqrt(2Rs) in which it comes down a
+    step. Neighbouring rows hide a little of it: `cam.as_milled` agrees within a fifth, for balls of 0.5 to 6 mm, steps
+    of 0.5 to 4 um and pitches of 0.02 to 0.2 mm.
     """
     if step_mm <= 0:
         return 0.0
@@ -154,7 +154,9 @@ def even_slopes(*, radius_mm: float, pitch_mm: float) -> SlopeSpread:
 
 @lru_cache(maxsize=512)
 def _across(radius_mm: float, pitch_mm: float, off_mm: float) -> SlopeSpread:
-    """Return slopes across rows, heights in p^2 / R and slopes in p / R: what is left depends on one number."""
+    """Return slopes across rows, with heights in p^2 / R and slopes in p / R: in these units they depend on one
+    number.
+    """
     if off_mm < 1e-3 * pitch_mm**2 / radius_mm:
         return even_slopes(radius_mm=radius_mm, pitch_mm=pitch_mm)
     _, low, high = _facets(radius_mm, pitch_mm, off_mm)
@@ -204,8 +206,8 @@ def row_grain(radius_mm: float, pitch_mm: float, off_mm: float, reach_mm: float,
 
 
 def chord_grain(slopes: RowSlopes, *, radius_mm: float, reach_mm: float, pixel_mm: float) -> float:
-    """Return the same along the rows: each chord that is off in slope sends its light aside as a whole, by lot, so that
-    the number of chords that light a pixel differs as lots do. About as many rows as 1 + reach / R light each place.
+    """Return the same along the rows: each chord with a slope error deflects its whole light at random, so the number
+    of chords that light a pixel varies like a random count. About 1 + reach / R rows light each place.
     """
     aside = slopes.chord_rad * reach_mm / slopes.vertex_mm
     chords = (1.0 + reach_mm / radius_mm) * pixel_mm / slopes.vertex_mm

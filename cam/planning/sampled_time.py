@@ -1,8 +1,8 @@
 """Estimates the time of a pass from a sample of the moves of its program: a first pass on a coarse lens, or a few exact
 rows (fewer for a quick plan).
 
-`cam.duration` times what `cam.rows` makes and `cam.rows.rounding` puts on the raster of control or mill. The time of
-layers depends on entries, walls and turns as much as on rows. The time of exact rows on a slow link depends on
+`cam.duration` times the moves that `cam.rows` makes and `cam.rows.rounding` puts on the raster of control or mill. The
+time of layers depends on entries, walls and turns as much as on rows. The time of exact rows on a slow link depends on
 vertices, of which the raster leaves out up to half. A formula for either would be off by a third.
 """
 
@@ -36,8 +36,8 @@ from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
 ROWS, FEW_ROWS = 40, 8  # of a pass that are made: 20 are off by up to 4 %, 8 of a coarse lens by 1 %
-_PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
-_FEW_PITCHES_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
+_PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # pitches at which rows are made: in between, vertices are much the same
+_FEW_PITCHES_MM = (0.05,)  # pitch at which few rows are made: on a coarse lens pitches differ by less than a hundredth
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
 _MOST_SAMPLES = 250_000  # of layers that are made: at most half a second, as of 36 layers for R 3 on 100 mm
 _BLOCK_CELL_MM = 1.0  # of a flat block; any value works
@@ -138,13 +138,13 @@ def _coarse_job(form: LensForm, first: PassSpec) -> tuple[Heightfield, Stock]:
 
 
 def _spacing_mm(form: LensForm, first: PassSpec) -> float:
-    """Return how far apart samples along the rows of all planes lie, if there are to be no more than may be made."""
+    """Return the distance of samples along the rows of all planes at which there are no more than the limit."""
     rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(first) * form.deepest_mm / first.step_down_mm
     return rows_mm / _MOST_SAMPLES
 
 
 def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:
-    """Return the lens by vertices about so far apart at least; turns of layers have as many points as it asks for."""
+    """Return the lens with vertices at least about this far apart; they determine the points of the layers' turns."""
     if spacing_mm <= min(lens.dx_mm, lens.dy_mm):
         return lens
     across, up = (ceil(side_mm / spacing_mm) for side_mm in (lens.width_mm, lens.height_mm))
@@ -161,7 +161,7 @@ def rows_s(
 ) -> float:
     """Return the seconds of a pass's exact rows, or of its one connected path.
 
-    digits : on which the vertices of a finishing pass are put; None: where they are
+    digits : raster on which the vertices of a finishing pass are put; None: they stay where they are
     """
     pitches_mm = _FEW_PITCHES_MM if made_rows == FEW_ROWS else _PITCHES_MM
     like = replace(spec, strategy="raster", pitch_mm=min(pitches_mm, key=lambda one: abs(log(one / spec.pitch_mm))))
@@ -182,7 +182,7 @@ def rows_s(
 
 
 def _spans_mm(form: LensForm, spec: PassSpec) -> tuple[float, float]:
-    """Return how far tips go along the rows, and across."""
+    """Return the extent of tips along the rows, and across."""
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
     return sides if spec.direction == "x" else sides[::-1]
 

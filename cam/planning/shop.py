@@ -84,14 +84,14 @@ class Shop:
         )
 
     def cuts_chips(self, tool: Tool) -> bool:
-        """Return whether its spindle turns slowly enough for a rough's chips: at 0.3 of the feed, for 3 % of the time
-        is slower.
+        """Return whether the spindle turns slowly enough for a roughing pass to make chips, even at 0.3 of the feed;
+        only 3 % of the time is slower than that.
         """
         speeds = self.speeds(tool)
         return _SLOW_FEED * speeds.feed_mm_per_min >= speeds.chip_mm[0] * tool.flutes * speeds.spindle_rpm
 
     def holds(self, tool: Tool) -> bool:
-        """Return whether the spindle takes its shank."""
+        """Return whether the collet takes the tool's shank."""
         return 2 * tool.shank_radius_mm <= self.collet_mm
 
     def has_room_for(self, tool: Tool) -> bool:

@@ -1,12 +1,12 @@
 """Every dialect in which programs can be written, by its name in machine profiles, and its abilities.
 
-G-code is read by GRBL 1.1, grblHAL and FluidNC; and by controls that once read ISO code from a tape: LinuxCNC,
-Fanuc-like, Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. Where a shop changes tools by program, T and M6 come
-first, and the length (G43 H, Okuma's G56 H) with the first Z of the work frame: alone it moves Z on some controls.
-Otherwise no control is sent a tool length: Z0 is set with that tool, and the active tool offset stays. G40 and G80 end
-what an earlier program may have left on. Where the least input is 0.001 mm (0.0001 inch), positions have three (four)
-decimals and always a point: without one, 5 means 0.005 mm. On machining centres M8 is coolant everywhere; which word
-opens the air or the mist is the builder's choice, so none is guessed.
+GRBL 1.1, grblHAL and FluidNC read G-code, and so do controls that once read ISO code from a tape: LinuxCNC, Fanuc-like,
+Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. Where a shop changes tools by program, T and M6 come first, and
+the length (G43 H, Okuma's G56 H) with the first Z of the work frame: alone it moves Z on some controls. Otherwise
+programs contain no tool length: Z0 is set with that tool, and the active tool offset stays. G40 and G80 cancel modes
+that an earlier program may have left on. Where the least input is 0.001 mm (0.0001 inch), positions have three (four)
+decimals and always a point: without one, 5 means 0.005 mm. On machining centres M8 is coolant everywhere; the builder
+chooses the word for air or mist, so we do not guess one.
 
 Plain data without arrays; `cam.posts.writers` writes.
 """
@@ -20,7 +20,7 @@ from functools import reduce
 from cam.posts.post import RML, Post, ProgramSetup, RmlPost
 from phrases.phrase import Phrase
 
-# No `%`, no tool change, no tool compensation. What a tool-length probe has set (G43.1) is left as it is.
+# No `%`, no tool change, no tool compensation. The length set by a tool-length probe (G43.1) stays active.
 GRBL = Post(
     name="grbl",
     suffix=".nc",
@@ -73,6 +73,8 @@ FANUC = Post(
     number_every=100,
 )
 # G15 H1 to H6 are what G54 to G59 are elsewhere, G16 H0 is G53: machine coordinates for one block. The dwell is by F.
+# That G16 H0 leaves the length of G56 out, as G53 does elsewhere, is a guess: Autodesk's Okuma posts retract by it with
+# G56 active (newer ones to Z=VPSLZ, the soft limit); no manual that says so was found. The setup sheet asks to try it.
 OKUMA = Post(
     name="okuma",
     suffix=".min",

@@ -42,8 +42,8 @@ class Post:
     tape           : before the remarks: what a control requires first, such as % and the program's name
     start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and the work offset, {offset} or
                      {offset_number}, are filled in
-    offset_name    : what the control calls it, in a sentence, of the same two
-    zero           : what the work zero counts from on this control, in words: a remark
+    offset_name    : the control's name for the work offset in a sentence, with the same two placeholders
+    zero           : a remark that states from what this control measures the work zero
     lift           : the block that brings the tool to {safe_z} over the work zero, after the start and before the end
     top            : the same to {top}, a height in machine coordinates, from wherever the tool stands
     spin           : blocks after the start that bring the spindle up to speed; faster: the same for every further speed
@@ -56,11 +56,11 @@ class Post:
     inches         : programs may be in inches
     unit_mm        : of lengths and feeds: 1, or 25.4
     coolant        : words that switch on "air", "mist" or "flood", where the control has them
-    high_precision : whether it has the modes of HIGH_PRECISION_WORDS
+    high_precision : whether the control has the modes of HIGH_PRECISION_WORDS
     least_decimals : 1 where a control reads 5 as 5 least inputs, and only 5.0 as 5 mm
     feed_decimals  : of F, which is rounded down to them; where there are any, it has a point like the coordinates
     capitals       : small letters in a comment are an alarm, or are lost
-    number_every   : an N word on every so many-th line, from which an interrupted program can be entered; 0: none
+    number_every   : an N word on every n-th line, at which an interrupted program can be entered again; 0: none
     """
 
     name: str
@@ -105,7 +105,7 @@ class Post:
         return Digits(xy_mm=self.unit_mm * 10.0**-self.xy_decimals, z_mm=self.unit_mm * 10.0**-self.z_decimals)
 
     def adapt(self, *, units: str, number_every: int | None) -> Post:
-        """Return this dialect as a shop keeps its programs: "mm" or "inch", with an N word on every so many-th line."""
+        """Return this dialect as a shop keeps its programs: "mm" or "inch", with an N word on every n-th line."""
         post = self if number_every is None else replace(self, number_every=number_every)
         if units == "mm":
             return post
@@ -152,7 +152,7 @@ class Post:
 
 
 def number(value: float, least_decimals: int = 0, *, decimals: int = 4) -> str:
-    """Return a plain decimal, at most so many places, no trailing zeros beyond the least."""
+    """Return a plain decimal with at most `places` places, and no trailing zeros beyond the least number of them."""
     text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
     return text if "." in text or not least_decimals else text + "." + "0" * least_decimals
 
@@ -178,7 +178,7 @@ class RmlPost:
     number_every: int = 0
 
     def adapt(self, *, units: str, number_every: int | None) -> RmlPost:
-        """Return this dialect: there is nothing that a shop could choose."""
+        """Return this dialect unchanged: it has no options for a shop."""
         return self
 
     @property
@@ -233,7 +233,7 @@ class ProgramSetup:
     def spindle_steps(self, rpm: float, *, dwell_s: float) -> tuple[tuple[float, float], ...]:
         """Return the steps (speed [rpm], dwell [s]) in order; the last speed is rpm.
 
-        dwell_s : that a spindle needs to come up to speed at all
+        dwell_s : time that the spindle needs to come up to speed at all
         """
         if not self.warm_up_s > 0:
             return ((rpm, dwell_s),)

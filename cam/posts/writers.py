@@ -20,7 +20,7 @@ POINTS_AT_ONCE = 40_000
 FASTEST_MM_PER_S = 50.0
 DWELL_S = 4.0
 _LONGEST_WAIT_MS = 30_000  # of a range that ends at 32,767
-_TOP_UNITS = 10_500  # a height that no mill of the kind reaches: it stops at its top
+_TOP_UNITS = 10_500  # a height that no mill of this kind reaches: it stops at its top
 _TOP = f"^PR;Z0,0,{_TOP_UNITS};^PA;"  # from any position of the tool
 
 
@@ -64,7 +64,7 @@ class ProgramWriter:
     def __init__(self, post: Post) -> None:
         self.post = post
         self._raised = False  # the head is at its top: the tool must move over its place before it comes down
-        self._tool = 0  # whose length is still to be taken into account, where the head is at its top
+        self._tool = 0  # tool whose length has not been taken into account yet, with the head at its top
         self._safe_z = ""
         self._motion: str | None = None
         self._feed: float | None = None
@@ -157,7 +157,7 @@ class ProgramWriter:
         return b"".join(self.post.block(t.format(**values)) for t in templates)
 
     def write(self, path: Path) -> Iterator[bytes]:
-        """Yield blocks of one path in pieces; a point that rounds to where the tool stands makes no block."""
+        """Yield blocks of one path in pieces; a point that rounds to the tool's position makes no block."""
         if self._raised:
             yield self._go_over(path)
         motion = self.post.rapid if path.motion is Motion.RAPID else self.post.cut
@@ -175,7 +175,7 @@ class ProgramWriter:
         """Write the move across to the start of a path, at the height of the raised head."""
         self._raised, self._motion = False, self.post.rapid
         over_mm = path.points_mm[:1]
-        # As if reached: no Z is written.
+        # Treat the height as reached: no Z is written.
         self._state[2] = math.floor(over_mm[0, 2] / self.post.unit_mm * 10**self.post.z_decimals + 0.5)
         text = self._lines(over_mm, self.post.rapid, "")
         self._state[2] = UNKNOWN
@@ -276,7 +276,7 @@ class RmlWriter:
         return "".join(command + self._post.line_end for command in commands).encode("ascii")
 
     def write(self, path: Path) -> Iterator[bytes]:
-        """Yield commands of one path in pieces; a point that rounds to where the tool stands makes none."""
+        """Yield commands of one path in pieces; a point that rounds to the tool's position makes none."""
         if self._raised:
             yield self._go_over(path)
         if path.motion is Motion.RAPID:

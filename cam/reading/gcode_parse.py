@@ -395,7 +395,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 return begin, n, HOME_MIDDLE, begin
             if m_stop:
                 halt = max(halt, 0.0)
-            if g_dwell:  # its seconds: a word that means something else without G4
+            if g_dwell:  # the seconds of G4: without it the word means something else
                 if rules[DWELL] == DWELL_X:
                     if axes != 1 << 23:
                         return begin, n, BAD_DWELL, begin

@@ -3,7 +3,7 @@
 The subset a finishing program needs: ^DF, ^PA, !MC, !RC, V, W, absolute Z with three whole numbers, and ^PR;Z0,0,n;
 which lifts the tool to the top of the mill. That lift is not a move here, because the height of the top is not known.
 The next move therefore starts higher than it seems, which is the safe side. A move to a height above every mill's
-travel runs along its top and changes only X and Y. At V50, the fastest there is, a move counts as a rapid. ^DF with the
+travel runs along its top and changes only X and Y. At V50, the highest speed, a move counts as a rapid. ^DF with the
 spindle off after the last move ends the program.
 """
 
@@ -33,7 +33,7 @@ _DEFAULTS, _ABSOLUTE, _RELATIVE, _MOTOR, _RPM, _SPEED, _WAIT, _MOVE = range(1, 9
 
 @njit(cache=True, nogil=True)
 def _command(raw, p, size):  # type: ignore[no-untyped-def]
-    """Return (the command that begins at p, place after its name); 0 if none does."""
+    """Return (the command that begins at p, or 0 if none does; the place after its name)."""
     c = raw[p]
     if c == 86:  # V
         return _SPEED, p + 1

@@ -1,8 +1,9 @@
-"""How the tool comes down: by rapid to over the block, at the plunge feed to just above the stock, then on a ramp.
+"""How the tool comes down: by a rapid to a height over the block, at the plunge feed to just above the stock, then on a
+ramp.
 
 A ball's dead centre does not cut, so no entry goes straight down into stock: it sinks at three degrees along the path's
 first stretch or, where a pocket leaves that too short, round a helix beside it. A path that covers its first stretch
-once more later is entered going on, without a turn.
+again later is entered in its direction, without turning back.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ STRAIGHT_MM = 1e-6
 MOST_LEGS = 4
 """A ramp that would turn back more often than this becomes a helix, where one may be."""
 
-_RINGS = (0.5, 0.25)  # radii of a helix, in radii of the ball: both leave no core standing
+_RINGS = (0.5, 0.25)  # radii of a helix, in radii of the ball: neither leaves a core
 _RING_POINTS = 48
 
 
@@ -62,7 +63,7 @@ def enter(
 def enter_onward(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_mm: float) -> Iterator[Path]:
     """Yield the way from safe height to the last point of a polyline (n, 3), without turning back if it is long enough.
 
-    What stands above the stretch on which the tool sinks is left to the rest of the path.
+    The rest of the path removes the stock above the stretch on which the tool sinks.
     """
     x, y, z = polyline_mm[0]
     start_mm = min(stock_mm + CLEARANCE_MM, safe_z_mm) if stock_mm > z else float(z)
@@ -78,7 +79,7 @@ def enter_onward(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_
 
 
 def _over(x_mm: float, y_mm: float, stock_mm: float, safe_z_mm: float) -> Path:
-    """Return the rapid to over the block, and down to just above the stock."""
+    """Return the rapid to a height over the block, and the move down to just above the stock."""
     over_mm = max(stock_mm, 0.0) + RAPID_CLEARANCE_MM
     above = (x_mm, y_mm, safe_z_mm)
     return rapid(above, (x_mm, y_mm, over_mm)) if over_mm < safe_z_mm else rapid(above)

@@ -1,4 +1,4 @@
-"""Layers: stock above the target that is too much for one move is taken off in steps.
+"""Layers: too much stock above the target for one move is taken off in steps.
 
 On a flat block the layers are planes one step-down apart, and each follows the target where that is higher. On stock
 that has a shape already they run parallel to the target, only where something stands above them, and the exact rows
@@ -75,7 +75,7 @@ class Field:
 
     @classmethod
     def along(cls, rows: Rows, surface: Surface, stock: StockTouch) -> Field:
-        """Sample as finely as the lens and at least eight times per radius, over everything that turns may touch.
+        """Sample as finely as the lens and at least eight times per radius, over all places that turns may touch.
 
         So a later turn, of another layer or of the exact rows, meets no stock that the layer above did not clear.
         """
@@ -162,7 +162,7 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
 
 
 def plane_row_distance_mm(spec: PassSpec) -> float:
-    """Return the greatest distance of rows of planes; the rows between them take off what these leave."""
+    """Return the greatest distance of rows of planes; the rows between them take off the stock that these leave."""
     shape, radius_mm = spec.shape, spec.radius_mm
     cusped_mm = sqrt(8 * shape.corner_mm(radius_mm) * PLANE_CUSP_SHARE * spec.step_down_mm)
     return min(FLAT_STEP * radius_mm, 2 * shape.flat_mm(radius_mm) + cusped_mm)
@@ -272,7 +272,7 @@ def layer_paths(
 
     A link on the layer's own surface is always allowed: nothing stands higher above it than a step-down. It is taken
     while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two. Between
-    rows stairs of stair_mm may stand besides: what goes there stays as much higher.
+    rows there may also be stairs of stair_mm: moves there stay that much higher.
     """
     left, tips = _stock_and_tips(field, layer, above)
     per_radius = surface.radius_mm / field.step_mm
@@ -365,8 +365,8 @@ class _Work:
         """Return half turns on the layer's surface from one run's end to the next one's start, bulging the way the tool
         went as far as the run-out allows.
 
-        At the end of the run-out that is straight across: rows cannot end earlier, as the next layer's ball would then
-        meet a wall beside this layer's turns that reaches up to the top of the block.
+        At the end of the run-out turns go straight across: rows cannot end earlier, because the next layer's ball would
+        then meet a wall beside this layer's turns that reaches up to the top of the block.
         """
         field, joined = self.field, runs.is_joined
         if not joined.any():
@@ -390,7 +390,9 @@ class _Work:
 
 
 def _sag_mm(surface: Surface, layer: Layer, spec: PassSpec) -> float:
-    """Return the tolerance of a layer's chords: a small share of what it leaves and of what the next one may meet."""
+    """Return the tolerance of a layer's chords: a small share of the stock that it leaves and of the stock that the
+    next one may meet.
+    """
     return min(rough_sag_mm(surface.allowance_mm + layer.offset_mm), LAYER_SAG_SHARE * spec.step_down_mm)
 
 
@@ -415,7 +417,7 @@ def _stands_above(left: Array, tips: Array, stock: StockTouch, above: Layer | No
 
 
 def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return active rows and the rows before and after what is active: a last row leaves stock up to the next."""
+    """Return active rows and the rows before and after them: a last row leaves stock up to the next."""
     grown = active.copy()
     grown[1:] |= active[:-1]
     grown[:-1] |= active[1:]
@@ -447,7 +449,7 @@ def _end_walls(
     safe_z_mm: float,
 ) -> Iterator[Path]:
     """Yield the ways along the walls at which the rows end, where stock stood above the layer: both sides, front to
-    back. None if turns (n, 3) of the layer's own rows went along all of that already.
+    back. None if turns (n, 3) of the layer's own rows already went along all of it.
 
     Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
     a later layer, or a later pass, would take flakes of several layers off at once.

@@ -1,13 +1,13 @@
 """Adjusts feeds to the load: the rows of layers remove about the same volume per minute everywhere; turns are slots.
 
-The removal of a move is measured across its row. There the stock of the moment is the lower envelope of balls standing
-at the tips of the rows about it: as deep as their last cut where they have been cut, as the layer above left them where
-they have not. The section of the cut is the area between it and the ball; section times feed is the volume per minute.
-A feed is used for at least one ball radius; it is the least that its places and the nearby ones allow, and is rounded
-down to one of a few values.
+The removal of a move is measured across its row. There the present stock is the lower envelope of balls at the tips of
+the rows around it: as deep as their last cut where rows have been cut, as the layer above left it where they have not.
+The section of the cut is the area between it and the ball; section times feed is the volume per minute. A feed is used
+for at least one ball radius; it is the least that its places and the nearby ones allow, and is rounded down to one of a
+few values.
 
 Exact rows cut at the ball's full width in their turns: between two rows the tool goes a pitch on into stock that no row
-has touched yet, the next row's on the one side, what stands at the wall of the run-out on the other. Such a slot is
+has touched yet, the next row's on the one side, and stock at the wall of the run-out on the other. Such a slot is
 only as long as the pitch, but every row ends in one.
 """
 
@@ -171,7 +171,7 @@ def measure_cuts(
     now: Array, tips_mm: Array, y_mm: Array, runs: Runs, spec: PassSpec, *, top_mm: float, beside: int = 0
 ) -> tuple[Array, Array]:
     """Return, sample by sample, (n, 3) sections beside a row towards greater and smaller Y [mm2] and the deepest cut;
-    and (m,) how deep stock is within so many samples of the way to each run.
+    and (m,) how deep stock is within `beside` samples of the way to each run.
 
     now (n rows, n samples) : tips at which the cutter would meet stock, of rows at y_mm; lowered to tips_mm by the runs
     top_mm                  : none stands higher

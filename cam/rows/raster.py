@@ -1,8 +1,8 @@
 """Rows along X: their positions, and the exact surface along them. For rows along Y, X and Y are exchanged, first of
 the lens, the block and the stock, and afterwards of the paths.
 
-Exchanging axes is exact (no rotation, no rounding), so what holds for rows along X holds for rows along Y. It turns
-left into right as well: climb milling is decided by `PassSpec.direction`.
+Exchanging axes is exact (no rotation, no rounding), so everything about rows along X also holds for rows along Y. It
+also exchanges left and right: climb milling is decided by `PassSpec.direction`.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore
 
     A turn is a half circle over (y0, y1), on the surface, in `parts` chords; its points lie on the writing raster.
     """
-    count = int(np.int64(0))  # a plain 0 is a type of its own: march_row would be compiled twice
+    count = int(np.int64(0))  # a plain 0 is another type for numba: march_row would be compiled twice
     parts = turn_parts(bulge)
     for j in range(rows):
         start, end = (left, right) if forward else (right, left)

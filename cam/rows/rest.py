@@ -1,4 +1,4 @@
-"""Rest passes: a small ball only where the one before it, too big for a hollow, has left stock.
+"""Rest passes: a small ball cuts only where the bigger ball before it has left stock in a hollow.
 
 Where the stock stands higher than regular cusps explain is the core. Tips cover the core grown by the ball's reach, on
 the exact surface, and a band around it, in which they rise off the surface ever faster until the ball touches nothing:
@@ -46,9 +46,9 @@ HOP_MM = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestAreas:
-    """Where a rest pass cuts, cell by cell of the stock it meets.
+    """The places where a rest pass cuts, cell by cell of the stock it meets.
 
-    core (ny, nx)       : stock stands too high there
+    core (ny, nx)       : cells with too much stock
     beyond_mm (ny, nx)  : distance of a tip from the area in which it must follow the surface; 0 or less: inside
     blend_mm, lift_mm   : tips are lift_mm (d / blend_mm)^2 above it at the distance d, up to blend_mm
     """
@@ -87,7 +87,7 @@ class RestAreas:
         return {"area_mm2": self.area_mm2, "regions": self.regions}
 
     def distances_mm(self, x_mm: Array, y_mm: Array) -> Array:
-        """Return `beyond_mm` at points (n,), between the cells; beside the block that of its rim."""
+        """Return `beyond_mm` at points (n,), between the cells; beside the block, the value at its rim."""
         grid = self.grid
         places = [(y_mm - grid.y0_mm) / grid.cell_mm - 0.5, (x_mm - grid.x0_mm) / grid.cell_mm - 0.5]
         return np.asarray(ndimage.map_coordinates(self.beyond_mm, places, order=1, mode="nearest"))

@@ -4,7 +4,7 @@ A vertex rounded to the nearest digit q is off by up to q / 2, and two of them s
 q / (sqrt 6 s) rms along the line and of q / (sqrt 6 p) between lines p apart: with three decimals, tens of
 milliradians. But a vertex may be anywhere on its line. Where the path crosses a whole digit, a vertex needs no
 rounding, and the remaining error is the slope times the digit of X: a tenth or a hundredth of that. So each vertex has
-up to four places: on the nearest such crossing before and after, and on its own spot one digit down or up; or it is
+up to four places: on the nearest such crossing before and after, and at its own position one digit down or up; or it is
 left out. The best choice for a whole line is found in one pass, as in Viterbi's algorithm. It minimises the squared
 error of the slope along the line, plus that of the height over the pitch, which is the slope to the neighbouring lines,
 integrated along the line. The tool is never more than half a digit below its path, nor more than one digit above it.

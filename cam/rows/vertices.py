@@ -94,7 +94,7 @@ def most_vertices(length_mm: float, rule: VertexRule) -> int:
 
 @njit(cache=True, nogil=True)
 def _bounds(rule, px):  # type: ignore[no-untyped-def]
-    """Return (slope error, sag) allowed to a chord that touches at px."""
+    """Return the (slope error, sag) that a chord touching at px may have."""
     if rule.optical_from_mm <= px <= rule.optical_to_mm:
         return rule.slope_rad, rule.sag_mm
     return math.inf, rule.run_out_sag_mm

@@ -2,11 +2,11 @@
 
 Theory. The ball's centre above (cx, cy) touches the surface at p where p + R N_xy(p) = c, N the unit normal pointing
 up; the centre stands at h(p) + R N_z. Newton solves this in one or two steps from a neighbour's p. Newton is local: if
-f(p) = h(p) + sqrt(R^2 - |p - c|^2) has more than one maximum inside the footprint the ball rests on the highest. f is
-concave, so has one maximum only, where the largest eigenvalue of the Hessian of h stays below 1/R all over the
-footprint (the ball's own is at least 1/R). Elsewhere ("guarded") Newton climbs f from every lattice node
-that could lie below the highest maximum, and the highest is taken. The lattice resolves f for slopes below about 1.5;
-beyond that f is too peaked for it.
+f(p) = h(p) + sqrt(R^2 - |p - c|^2) has more than one maximum inside the footprint the ball rests on the highest. If the
+largest eigenvalue of the Hessian of h stays below 1/R all over the footprint (the ball's own is at least 1/R), f is
+concave and has only one maximum. Elsewhere ("guarded") Newton climbs f from every lattice node that could lie below the
+highest maximum, and the highest is taken. The lattice resolves f for slopes below about 1.5; beyond that f is too
+peaked for it.
 
 With an allowance a the ball is R + a large and the centre is kept: exactly a is left along the normal.
 """
@@ -129,7 +129,7 @@ def _nodes_on_top(b, cx, cy, level, rows, columns, f):  # type: ignore[no-untype
     """Find nodes (rows, columns) of the footprint that may lie beside the highest maximum, and f there; return how
     many.
 
-    level : that f is known to reach somewhere
+    level : a value that f is known to reach somewhere
     """
     r2 = b.radius * b.radius * 0.999
     my, mx = b.node_z.shape
@@ -165,7 +165,7 @@ def _nodes_on_top(b, cx, cy, level, rows, columns, f):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _level(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """Return f at p, or at the centre where p is no point of the footprint."""
+    """Return f at p, or at the centre if p lies outside the footprint."""
     left = b.radius * b.radius * 0.999 - (px - cx) ** 2 - (py - cy) ** 2
     if left <= 0.0:
         px, py, left = cx, cy, b.radius * b.radius
@@ -174,8 +174,8 @@ def _level(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _highest(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """Find the highest contact in the whole footprint; return what `_newton` does but for `found`. A good guess p saves
-    looking at most of the nodes, and changes nothing else.
+    """Find the highest contact in the whole footprint; return the values of `_newton` except `found`. A good guess p
+    saves looking at most of the nodes, and changes nothing else.
 
     Climbs start from every node that may lie below the true maximum, not from lattice maxima only: two true maxima a
     few steps apart, at the end of a crease, show as one.

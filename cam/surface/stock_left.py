@@ -1,4 +1,4 @@
-"""Compares what a pass leaves with the lens, cell by cell: gouge, excess, and places that the ball cannot reach."""
+"""Compares the stock after a pass with the lens, cell by cell: gouge, excess, and places that the ball cannot reach."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ may be a whole pitch away instead of half of one. `cam.checking.path_quality` fi
 
 @njit(cache=True, nogil=True)
 def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, leave, pitch, radius, ball, out):  # type: ignore[no-untyped-def] # fmt: skip
-    """Compare. out: stock above the lens plus the stock to leave; stock above the lens; what the theory allows of the
-    first.
+    """Compare. out: stock above the lens plus the stock to leave; stock above the lens; the excess that the theory
+    allows over the first.
 
     All along Z; NaN off the aperture.
     """
@@ -50,7 +50,7 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
             bend = 0.5 * (hxx + hyy) + math.hypot(0.5 * (hxx - hyy), hxy)  # most hollow direction; an upper bound
             if bend < 0.0:
                 bend /= steep * q
-            if not ball:  # stairs from row to row, and in a hollow also what no flat end reaches
+            if not ball:  # stairs from row to row, and in a hollow also the stock that no flat end reaches
                 cusp[j, i] = pitch * math.sqrt(steep - 1.0) + 0.25 * radius * radius * max(0.0, bend)
                 continue
             # Tips p apart in plan are up to p q apart on the slope; the ridge, p^2 / 8R, stands on the slope (q), and
@@ -263,7 +263,7 @@ def _measure_left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: P
     contact = tips.contacts_mm(at[:1], at[1:])[0]  # of the ball straight above: near the one that touches the place
     aside = np.linspace(-1.0, 1.0, 2 * _PHASES + 1) * spec.pitch_mm
     along = np.linspace(-1.0, 1.0, _ALONG) * max(spec.pitch_mm, _ALONG_SHARE * spec.radius_mm)
-    middle = 2 * at - contact[:2]  # as far on the other side: where the ball stands that touches the place
+    middle = 2 * at - contact[:2]  # equally far on the other side: position of the ball that touches the place
     lengthwise = 0 if spec.direction == "x" else 1
     places = np.empty((aside.size, along.size, 2))
     places[..., lengthwise] = middle[lengthwise] + along

@@ -137,7 +137,7 @@ class StockTouch:
 
     def exactly(self, x_mm: Array, y_mm: Array) -> Array:
         """Return (n,) D at x (n,), y (n,) from the stock's own cells: between two nodes beside a wall, the lattice
-        shows stock that the ball only passes.
+        shows stock that the ball only passes by.
         """
         stock, out = self.stock, np.empty(x_mm.size)
         _touch(stock.top_mm, stock.x0_mm, stock.y0_mm, stock.cell_mm, self.radius_mm, x_mm, y_mm, out)
@@ -152,7 +152,7 @@ class StockTouch:
 
 
 def _outside(values: Array, low: float, high: float) -> Array:
-    """Return how far outside [low, high]."""
+    """Return how far a value lies outside [low, high]."""
     result: Array = np.maximum(np.maximum(low - values, values - high), 0.0)
     return result
 

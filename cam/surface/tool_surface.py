@@ -1,8 +1,8 @@
 """The surface on which the tool tip travels so that the ball touches the lens, or leaves an even allowance on it.
 
-A flat or bull-nose end mill is a ball of its corner's radius, moved over a disc: its tip is as high as the highest that
-the ball's would be within that disc. It leaves at least the allowance. Heights are kept on a lattice, from a disc that
-is grown by what lies between its nodes.
+A flat or bull-nose end mill is a ball of its corner's radius, moved over a disc: its tip height is the greatest tip
+height of that ball within the disc. It leaves at least the allowance. Heights are kept on a lattice, from a disc that
+is enlarged by the distance between its nodes.
 """
 
 from __future__ import annotations
@@ -238,8 +238,8 @@ def surface_under(heightfield: Heightfield, spec: PassSpec) -> Surface:
 
 
 def compute_left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
-    """Return heights (ny, nx) at the lens's vertices that a pass of a flat cutter leaves: where its end comes, and on
-    slopes stairs.
+    """Return heights (ny, nx) at the lens's vertices that a pass of a flat cutter leaves: where its flat end reaches,
+    and stairs on slopes.
     """
     surface = RoughSurface.over(lens, spec, nodes=_FEW_NODES)
     lowest = -find_highest(-surface.height_mm, spec.shape.flat_mm(spec.radius_mm) / surface.node_step_mm)

@@ -1,11 +1,11 @@
 """DNC drip feed with XON/XOFF (DC1/DC3) for Okuma-class controls. The handshake is done here and not in the port.
 
 Why not the port's own XON/XOFF: a tty or a USB adapter queues hundreds of bytes that have passed the driver already;
-the kernel stops at DC3 what is still in its queue, but not what is in the adapter, and it hides when the control said
-stop. An old control has room for few bytes after its DC3. So the port runs without handshake and this driver keeps so
+at DC3 the kernel stops the bytes in its own queue, but not those in the adapter, and it hides when the control sent
+DC3. An old control has room for few bytes after its DC3. So the port runs without handshake and this driver keeps so
 little under way that in every case at most 16 bytes arrive after DC3:
 
-    queued (8) + what a pace of at most 6 bytes per 4 ms lets out before DC3 is seen + the byte on the wire
+    queued (8) + the bytes sent at a pace of at most 6 per 4 ms before DC3 is seen + the byte on the wire
 """
 
 from __future__ import annotations

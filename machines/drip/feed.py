@@ -95,7 +95,7 @@ class Pace:
     """Estimates how many bytes wait between us and the wire, from the bytes written and the wire's rate.
 
     bytes_per_s : kept a little under the wire's rate, so that the estimate errs to the safe side and never drifts
-    most_queued : bytes that may wait; they go out even after the far end has said stop
+    most_queued : bytes that may wait; they go out even after the far end has sent its stop
     """
 
     bytes_per_s: float

@@ -47,11 +47,11 @@ class Dialect:
     line_limit         : characters of code it holds, comments and blanks not counted
     n_limit            : greatest N word
     percent            : takes a line that is only %
-    letters            : letters it takes beside SHARED_LETTERS
+    letters            : letters it takes in addition to SHARED_LETTERS
     own                : its own words for language.execute_block, and the refusals of words that it lacks
     two_digits         : G and M words have two digits
     needs_point        : letters whose numbers carry a decimal point
-    bare_zero          : 0 needs none (it is 0 in any unit)
+    bare_zero          : 0 needs no decimal point (it is 0 in any unit)
     name_digits        : fewest and most digits of the O word; (0, 0) where the letter O is not taken
     arcs_by_r          : arcs may be given by R, not only by I, J, K
     named              : O is followed by a name of letters and digits, not by a number

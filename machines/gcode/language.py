@@ -17,9 +17,9 @@ from machines.gcode import refusals
     STATED,
 ) = range(18)  # fmt: skip
 STATE_SIZE = 18
-# Slots of what one block does. START is in the frame the motion runs in; END is the programmed end (for G28 and G30 the
-# point on the way, for G53 in machine coordinates); CENTRE_U .. SWEEP describe an arc in its plane; BLOCK_FEED is in
-# mm/min (nan for rapids).
+# Slots of the effects of one block. START is in the frame the motion runs in; END is the programmed end (for G28 and
+# G30 the point on the way, for G53 in machine coordinates); CENTRE_U .. SWEEP describe an arc in its plane; BLOCK_FEED
+# is in mm/min (nan for rapids).
 (
     KIND, PAUSE, FLAGS, END, CENTRE_U, CENTRE_V, RADIUS, ANGLE, SWEEP, BLOCK_FEED, LENGTH, START,
 ) = (0, 1, 2, 3, 6, 7, 8, 9, 10, 11, 12, 13)  # fmt: skip
@@ -28,7 +28,7 @@ NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30.
 WAITS, WITHHOLDS, ENDS, WRITES = 1, 2, 4, 8
 STATED_UNITS, STATED_DISTANCE = 1, 2
 # Effects of a dialect's own word.
-# MACHINE_BY_H: H0 is what G53 is. LENGTH_BY_H, CHANGE: a length from the control's table, and a tool.
+# MACHINE_BY_H: H0 means G53. LENGTH_BY_H, CHANGE: a length from the control's table, and a tool.
 ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H, MACHINE_BY_H, LENGTH_BY_H, CHANGE = range(1, 9)
 # Values of SHIFTED: the program has moved its frame; or it has only taken its tool, and the tool's length, before its
 # first Z, so that Z0 is still that of the work offset.
@@ -47,8 +47,8 @@ def execute_block(
     """Carry out one block on `state` and write what it does into `out`. Returns 0, or the refusal's code.
 
     values (26,) : numbers by letter, where `seen` has the letter's bit; G and M words apart as 10 x their number
-    own (k, 4)   : words of the dialect: 10 x number (M: + 100 000), what it may do or -refusal, letters used, any;
-                   it may refuse or extend any word but G0 to G3
+    own (k, 4)   : words of the dialect: 10 x number (M: + 100 000), its effect or -refusal, letters it uses, whether
+                   any may follow; it may refuse or extend any word but G0 to G3
     If a block is refused, state may be partly changed; nothing after it is read.
     """
     nan = math.nan

@@ -1,8 +1,7 @@
-"""The same program in the air: every height raised by so much, spindle and coolant off, for a dry pass.
-
-Only words are taken of which it is certain that raising Z is all that they need; any other is refused by name. Moves in
-machine coordinates (G53) stay: they go to the top of the travel. What comes out is a program like any other: it passes
-its own pre-flight, and its travel is checked at its start.
+"""The same program in the air: every height raised by a lift, spindle and coolant off, for a dry pass. Only words are
+accepted for which raising Z is certainly enough; any other is refused by name. Moves in machine coordinates (G53) stay:
+they go to the top of the travel. The result is a program like any other: it passes its own pre-flight, and its travel
+is checked at its start.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ _OFF = b"M5M9"
 
 
 def require_liftable(dialect: str) -> None:
-    """Raise ProgramRefusedError for a language, or a control, of which a program cannot be raised line by line."""
+    """Raise ProgramRefusedError for a language, or a control, whose programs cannot be raised line by line."""
     known = DIALECTS.get(dialect)
     if known is None or known.tapes or known.spindle_first:
         raise ProgramRefusedError(0, "", Phrase("a dry pass of {dialect} is not possible", dialect=dialect))

@@ -24,7 +24,7 @@ _SPINDLES: dict[int, Spindle] = {3: "M3", 4: "M4", 5: "M5"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModalState:
-    """Defaults are those of a program that has said nothing yet on a freshly started GRBL, but without a motion.
+    """Defaults are those of a freshly started GRBL before the program sets anything, but without a motion.
 
     motion            : "G0" "G1" "G2" "G3" "G38.2".."G38.5" "G80" (none: coordinates alone are refused)
     plane, units, distance, feed_mode, wcs : "G17" "G21" "G90" "G94" "G54" and their siblings
@@ -37,7 +37,7 @@ class ModalState:
                         has sent to a place only the controller knows (G28, G30, G53, G38, another work offset)
     shifted           : the program itself moved its frame (G10, G92, G43.1), or took a tool's length from the control's
                         table
-    stated            : which of "units" and "distance" the program has said itself
+    stated            : which of "units" and "distance" the program has set itself
     ended             : M2 or M30 was read
     """
 
@@ -201,7 +201,7 @@ class Step:
         return share, sum((offset - share * along) ** 2 for along, offset in known)
 
 
-@dataclass(slots=True)  # not frozen, as Step: one is made for every arc that is sent, in a tenth of its time
+@dataclass(slots=True)  # not frozen, unlike Step: one is made for every arc that is sent, in a tenth of its time
 class Arc:
     """Circle or helix about an axis. u, v, w : axes 0..2 with w the helix axis; sweep > 0 turns from u toward v."""
 

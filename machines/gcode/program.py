@@ -35,7 +35,9 @@ def piece_digest(data: bytes | memoryview) -> str:
 
 
 class IndexEntry(NamedTuple):
-    """Before line `line` (from 1), at byte `offset`, `state` holds; `digest` is of the piece up to the next entry."""
+    """Before line `line` (from 1), at byte `offset`, the modal state is `state`; `digest` is of the piece up to the
+    next entry.
+    """
 
     line: int
     offset: int
@@ -109,7 +111,7 @@ class ProgramReader:
         with self._open() as file:
             data = self._piece(file, number)
         if self.index.dialect == RML:
-            return entry.state  # nothing modal is known of it
+            return entry.state  # its modal state is not known
         interpreter = Interpreter(entry.state, dialect=self.index.dialect)
         for block in _blocks(data, entry.line, entry.offset, self.index.dialect):
             if block.number >= line:

@@ -135,7 +135,7 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
             continue
         # Words.
         seen = 0
-        n_g = n_m = int(np.int64(0))  # a plain 0 is a type of its own to numba: the language would be compiled twice
+        n_g = n_m = int(np.int64(0))  # a plain 0 is another type for numba: the language would be compiled twice
         q = 0
         while q < size_of_code:
             c = code[q]

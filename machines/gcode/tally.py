@@ -8,7 +8,7 @@ from __future__ import annotations
     LAST_MACHINE_Z, LONGEST_PAUSE_S,
 ) = range(13)  # fmt: skip
 TOTALS = 13
-# LAST_Z: where the last motion ends, nan where that is given in machine coordinates: LAST_MACHINE_Z, inf at home.
+# LAST_Z: where the last motion ends, nan if that is in machine coordinates: then LAST_MACHINE_Z, inf at home.
 # Events: the first line of each, and how many.
 (
     UNITS_ASSUMED, DISTANCE_ASSUMED, SPINDLE_OFF, BLIND_CUT, BLIND_RELATIVE, FRAME_MOVED, SETTINGS_WRITTEN, STOPS,

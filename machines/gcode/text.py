@@ -17,7 +17,7 @@ _LOOKED_AT = 64
 _LONE_RETURN = re.compile(rb"\r(?=[^\r\n])")
 _WORD = re.compile(rb"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 _BLANKS = b" \t\r\n\x0b\x0c"
-_MOST_DIGITS = 17  # more do not fit a whole number of 64 bits, which the compiled scanner gathers them in
+_MOST_DIGITS = 17  # more do not fit the 64-bit integer in which the compiled scanner gathers them
 
 _AT_START = {
     b"(": refusals.OPEN_COMMENT,
@@ -66,7 +66,7 @@ def _name_encoding(beginning: bytes) -> Phrase | None:
 
 
 class BadTextError(Exception):
-    """Text that is no block; `code` is one of refusals.py."""
+    """Text that is not a block; `code` is one of refusals.py."""
 
     def __init__(self, code: int) -> None:
         self.code = code

@@ -1,4 +1,4 @@
-"""The steps of line sequences to the controller: a line and its answer, standstill, a query asked twice."""
+"""Steps of line sequences to the controller: a line and its answer, a wait for standstill, a query sent twice."""
 
 from __future__ import annotations
 

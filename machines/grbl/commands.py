@@ -41,7 +41,7 @@ _STEPS = {
 _RAPID = {100: 0x95, 50: 0x96, 25: 0x97}
 REPORTS_TO_CHANGE = 6  # reports without any change after which a step is sent again
 GIVE_UP_S = 15.0
-MOST_STEPS = 20  # from one end to the other, each the time of a round trip
+MOST_STEPS = 20  # steps from one end to the other, each taking a round trip
 
 
 def find_refusal(what: str, percent: int) -> Phrase | None:
@@ -111,7 +111,7 @@ class OverrideControl:
             self.link.events.append(CommandDone(command, failure))
 
     def take_report(self, report: Status, now_s: float) -> None:
-        """Compare a report with what is wanted; put the next step on its way."""
+        """Compare a report with the target; queue the next step."""
         command, view = self._command, self.link.view
         if command is None:
             return
@@ -153,8 +153,8 @@ OnEnd = Callable[[Phrase, dict[str, object], float], None]
 class CommandChannel:
     """Carries out commands: one sequence at a time, which has the link to itself, and an override alongside it.
 
-    command      : of the sequence under way; None if there is none, and for the questions of the handshake
-    held_line    : of a sequence that a hold has ended: the controller may still carry it out
+    command      : of the sequence under way; None if there is none, and during the handshake
+    held_line    : line of a sequence that a hold has ended: the controller may still carry it out
     banner_due_s : until then a banner is the answer to $C
     """
 
@@ -164,12 +164,12 @@ class CommandChannel:
     held_line: str = ""
     banner_due_s: float = 0.0
     _sequence: CommandSequence | None = None  # only in IDENTIFYING and COMMAND
-    _require: Require = allow_always  # until its first line has left that is no question; of a way, to its end
+    _require: Require = allow_always  # until its first line that is not a query has left; for a way, to its end
     _waiting: Ask | WaitStill | None = None
     _begun_s: float = 0.0  # of our own time
     _heard: list[Reply] = field(default_factory=list)
     _first: Answer | None = None  # of a line that is asked twice
-    _odd: bytes = b""  # received meanwhile; no controller sends such a line
+    _odd: bytes = b""  # a line received meanwhile that no controller sends
     _still: int = 0
     _cancel_reports: int = 0  # after as many reports without a jog, its end need not be requested again
     _on_end: OnEnd = field(init=False)

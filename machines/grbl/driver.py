@@ -34,7 +34,7 @@ class GrblDriver:
         self._port = port
         self._session = GrblSession(options, wire_bytes_per_s=port.wire_bytes_per_s)
         self.failure: MachineError | None = None  # why the link was given up
-        self._urged = False  # a '!' was sent that the session does not know of
+        self._urged = False  # a '!' was sent that the session does not know about
 
     @property
     def facts(self) -> DriverFacts:
@@ -129,7 +129,7 @@ class GrblDriver:
         self._send_order(first, require)
 
     def hold(self) -> None:
-        self._urged = self._urged and self._session.link.phase is Phase.CLEARING  # otherwise the session knows of it
+        self._urged = self._urged and self._session.link.phase is Phase.CLEARING  # otherwise the session knows about it
         self._session.hold(self._port.clock())
         self._write_urgent()
 

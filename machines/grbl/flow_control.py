@@ -2,9 +2,9 @@
 
 Counting answers against lines shows a lost or doubled answer while the program runs, not at its end. Now and then no
 line is sent until every line under way is answered, and a little longer. With an answer lost the last line never seems
-answered, and the mill stands Idle with it (timeouts.py); with one doubled an answer comes to no line. The planner
-covers that pause with motion where its blocks are long enough. Where they never are (fine finishing), the count is
-made all the same after COUNT_LATE_S: it costs some 0.03 s every COUNT_EVERY_S, 0.3 % of a full wire.
+answered, and the mill stands Idle with it (timeouts.py); with one doubled, an answer belongs to no line. The planner
+covers that pause with motion if its blocks are long enough. If they never are (fine finishing), the count is still made
+after COUNT_LATE_S: it costs some 0.03 s every COUNT_EVERY_S, 0.3 % of a full wire.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ Item = TypeVar("Item")
 SPARE_BYTES = 1
 
 AHEAD_S = 0.010  # most wire time that may wait before the wire: a '!' waits less than this and one poll
-REFILL_S = 0.005  # woken with this much still waiting, the wire does not fall idle
+REFILL_S = 0.005  # if woken with this much still waiting, the wire does not fall idle
 
 COUNT_EVERY_S, COUNT_LATE_S = 10.0, 2.0
 # Motion that the planner must hold while the last answers come and the next lines go: on a serial line, on a network.
 COUNT_COVER_S, COUNT_COVER_NETWORK_S = 0.1, 0.5
-MOST_UNANSWERED = 5  # of '?' that came together the controller answers one
+MOST_UNANSWERED = 5  # the controller answers one of several '?' that arrive together
 LISTEN_S = 0.3  # at most: a line that waits for room in the planner is answered when its oldest block has ended
 
 
 def usable_bytes(rx_bytes: int | None) -> int:
-    """Return how many bytes may be under way to a controller that reports this receive buffer (None: it does
-    not tell).
+    """Return how many bytes may be under way to a controller that reports this receive buffer (None: it does not report
+    one).
     """
     return (rx_bytes or DEFAULT_RX_BYTES) - SPARE_BYTES
 
 
 class SendWindow(Generic[Item]):
-    """Invariant: 0 <= used <= capacity. What is counted is the length of exactly the bytes that are written."""
+    """Invariant: 0 <= used <= capacity. It counts exactly the bytes that are written."""
 
     __slots__ = ("_waiting", "capacity", "used")
 
@@ -109,7 +109,7 @@ class AnswerCount:
     """One stream's counts. `closed`: no new line now.
 
     A count goes: begin, emptied (every line is answered), ask (one '?' at poll_at_s), reported (as often as '?' are
-    under way); what is answered until then without a line is one answer too many.
+    under way); an answer until then that belongs to no line is one too many.
     """
 
     __slots__ = ("_listen_s", "_reports", "closed", "due_s", "poll_at_s")
@@ -137,7 +137,7 @@ class AnswerCount:
             self.poll_at_s = now_s + self._listen_s
 
     def ask(self, now_s: float, unanswered: int) -> bool:
-        """Say whether a '?' is to be written now whose report ends the count. unanswered: '?' under way already."""
+        """Return whether to write a '?' now whose report ends the count. unanswered: '?' already under way."""
         if now_s < self.poll_at_s:
             return False
         self.poll_at_s = inf

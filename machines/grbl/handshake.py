@@ -24,7 +24,7 @@ NAMES = {"grbl": "Grbl", "grblhal": "grblHAL", "fluidnc": "FluidNC"}
 class Handshake:
     """Asks '?' until a report comes, then $I $$ $# $G while the mill stands. A banner begins it anew.
 
-    Owns the banner; what it learns goes into the link.
+    Owns the banner; it stores its findings in the link.
     """
 
     link: GrblLink
@@ -35,7 +35,7 @@ class Handshake:
     _banner: str = ""
 
     def begin(self, now_s: float) -> None:
-        """Begin on a link that was just opened: its last user may have left anything behind."""
+        """Begin on a link that was just opened: its last user may have left it in any state."""
         link, view = self.link, self.link.view
         link.urgent.clear()
         link.text.clear()
@@ -79,7 +79,7 @@ class Handshake:
             link.events.append(Faulted(FaultCause.RESET, words, line, now_s))
 
     def take_reply(self, reply: replies.Reply, line: bytes, now_s: float) -> None:
-        """Take a line in HAILING, where only a status report, an alarm or a banner means anything."""
+        """Take a line in HAILING, where only a status report, an alarm or a banner has a meaning."""
         self.link.greeting.take(reply, line)
         if isinstance(reply, replies.Message):
             self.resets.take_message(reply.text, now_s)

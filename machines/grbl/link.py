@@ -43,7 +43,7 @@ SILENT = Phrase(
     "nothing answers '?'. After a limit alarm a controller accepts nothing but a reset, and while it homes it does "
     "not answer either: look at the mill; if it stands still, send a reset"
 )
-QUICK_S = 0.1  # at most between '?', while something waits for the next report
+QUICK_S = 0.1  # longest time between '?' while something waits for the next report
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
 
 
@@ -118,9 +118,9 @@ class GrblLink:
     urgent, text : to be written: realtime bytes, and lines of a command
     restart      : a banner that waits for its first report, and whether it ends a stop
     hold_wanted  : a hold was requested, and nothing has ended it since
-    hold_reports : reports since the last hold; up to 0 they may have been made before it arrived
-    paused       : no new line of a program: held, door, or asked for
-    offers_reset : nothing answers: it may be a controller after a limit alarm, and a person may send it a reset
+    hold_reports : reports since the last hold; while it is 0 or less, they may be older than its arrival
+    paused       : no new line of a program: held, door, or asked for offers_reset : nothing answers: it may be a
+    controller after a limit alarm, and a person may send it a reset
     """
 
     options: GrblOptions

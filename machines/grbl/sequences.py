@@ -50,7 +50,7 @@ from machines.grbl.settings import ControllerSettings, read_settings
 from machines.grbl.timeouts import SPINDLE_S, longest_homing_s
 from phrases.phrase import Phrase
 
-BACK_MM = 1.0  # from the fast touch to where the slow one begins
+BACK_MM = 1.0  # from the fast touch to the start of the slow one
 SLOW_MM_PER_MIN = 25.0
 ARRIVED_MM = 0.02  # half a step of a coarse mill, and the digits of a report
 APART_MM = 0.2  # between the two touches: a larger difference means that something else was touched
@@ -271,7 +271,7 @@ def describe_settings(settings: ControllerSettings) -> dict[str, object]:
 
 
 def home(settings: ControllerSettings, modes: str) -> CommandSequence:
-    yield Ask(b"$G", expect=PARSER_TAG)  # the `ok` of a probe comes half a second behind its alarm: it is not of $H
+    yield Ask(b"$G", expect=PARSER_TAG)  # a probe's `ok` comes half a second behind its alarm: it is not the one of $H
     require_ok((yield Ask(b"$H", longest_homing_s(settings))))
     require_ok((yield WaitStill(REPLY_S)))
     yield from leave_probing(modes)
@@ -344,7 +344,7 @@ def _modal_again(settings: ControllerSettings) -> CommandSequence:
 def make_sequence(command: Command, settings: ControllerSettings, modes: str) -> CommandSequence:
     """Return the sequence that carries out a command. A realtime byte or a note needs none.
 
-    modes : [GC:] words as they were known last
+    modes : the last known [GC:] words
     """
     match command:
         case Home():

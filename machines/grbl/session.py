@@ -51,8 +51,8 @@ HAIL_S = 0.25  # between status requests while nobody has answered
 
 @dataclass(slots=True, eq=False)
 class Transmitter:
-    """Gives the bytes to write, only as many at a time as keep the wire busy, so that a realtime byte waits behind no
-    more than these.
+    """Gives the bytes to write: at a time only as many as keep the wire busy, so that a realtime byte never waits
+    behind more.
     """
 
     link: GrblLink

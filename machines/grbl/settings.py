@@ -1,4 +1,4 @@
-"""What a controller says of itself: $$ (settings), $I (version, buffers), $# (offsets), $G (modal state)."""
+"""A controller's reports on itself: $$ (settings), $I (version, buffers), $# (offsets), $G (modal state)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from phrases.phrase import Phrase
 MM_PER_INCH = 25.4
 # In both, a letter of [OPT:] says that M7 is built in; of FluidNC that is not known.
 MIST, _TELL_MIST = "M", frozenset({"grbl", "grblhal"})
-# Settings on which the meaning of a machine coordinate rests. GRBL counts steps: what turns them into mm, which way
-# they go and where homing begins to count.
+# Settings that define machine coordinates. GRBL counts steps: the settings for steps per mm, direction, and the place
+# where homing starts to count.
 FRAME_SETTINGS = frozenset(
     {
         3,  # direction of each axis: the same count lies on the other side
@@ -26,7 +26,7 @@ FRAME_SETTINGS = frozenset(
         100, 101, 102,  # steps per mm: every coordinate is scaled
         130, 131, 132,  # travel: an axis that homes to its low end counts from there
         150, 151, 152,  # microsteps of a driver that grblHAL sets: they scale as steps per mm do
-        160, 161, 162,  # backlash that grblHAL makes up for: every turn lies elsewhere
+        160, 161, 162,  # backlash that grblHAL compensates: every reversal lies elsewhere
     }
 )  # fmt: skip
 OFFSET_TAGS = frozenset({"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92"})
@@ -51,7 +51,7 @@ class ControllerSettings:
     _numbers: dict[int, float] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        for setting, text in self.values.items():  # once: a status asks for some of them, many times a second
+        for setting, text in self.values.items():  # computed once: status reports need some of them many times a second
             with suppress(ValueError):
                 self._numbers[setting] = float(text)
 
@@ -203,8 +203,8 @@ _STATE_GROUPS = tuple(
 
 
 def is_parser_state(words: str) -> bool:
-    """Return whether this is [GC:] as a controller says it: words only, and one of each modal group that a program
-    depends on.
+    """Return whether this is a complete [GC:] report: words only, and one of each modal group that a program depends
+    on.
     """
     parts = words.split()
     return all(map(_STATE_WORD.fullmatch, parts)) and all(len(group & set(parts)) == 1 for group in _STATE_GROUPS)
@@ -242,9 +242,9 @@ def _offsets(pushes: Iterable[Push], unit_mm: float) -> dict[str, Triple]:
 
 
 def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> Phrase:
-    """Say why this controller would refuse a block of the program in the middle of a cut; "" if it would not.
+    """Describe why this controller would refuse a block of the program in the middle of a cut; "" if it would not.
 
-    mist_line : first line with M7, 0 for none. Nothing is said where the controller does not state its options.
+    mist_line : first line with M7, 0 for none. The result is "" if the controller does not state its options.
     """
     if not mist_line or settings.mist is not False:
         return Phrase("")

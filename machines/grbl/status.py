@@ -77,7 +77,7 @@ class StatusReporter:
         )
 
     def _alarm(self, state: MillState) -> int:
-        """Number of the alarm that keeps the mill locked, 0 for none that is known."""
+        """Number of the alarm that keeps the mill locked, 0 if none is known."""
         view = self.link.view
         return view.alarm or (view.locked_by if state is MillState.ALARM else 0)
 
@@ -160,7 +160,9 @@ class StatusReporter:
         return tuple(words)
 
     def _corridor_words(self) -> str:
-        """Word what is done, or will be: nothing is said of positions that cannot be compared."""
+        """Describe the check of positions that is or will be active; nothing about positions that cannot be
+        compared.
+        """
         if self.state is MillState.CHECK:
             return ""
         what = (

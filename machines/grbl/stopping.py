@@ -30,7 +30,7 @@ SLOW_AFTER_S, SLOW_S = 10.0, 1.0  # an emergency stop that is still pressed, a m
 
 
 class ResetSequence:
-    """One reset on its way. `take` gives the byte whenever it is due; the banner ends the sequence from outside."""
+    """One reset under way. `take` returns the byte whenever it is due; the session ends the sequence at the banner."""
 
     def __init__(self, now_s: float, *, first_s: float = 0.0, again_s: float = inf, ours: bool = True) -> None:
         """ours: sent to a mill that stands, so that the position is kept"""
@@ -116,7 +116,9 @@ class ResetControl:
             self.take_message(words, now_s)
 
     def watch(self, now_s: float) -> bool:
-        """Look at the clock. True: of a reset that is sent once no banner has come; whether the mill stands is open."""
+        """Check the clock. True: a reset that is sent only once has had no banner; it is not known whether the mill
+        stands.
+        """
         link, sequence = self.link, self.sequence
         waited_s = link.silence.waited_s - link.silence.late_s
         if sequence is None:
@@ -153,7 +155,7 @@ class StopControl:
     commands: CommandChannel
     reporter: StatusReporter
     resets: ResetControl
-    abort_wanted: bool = False  # looked at with the first report: of a link that was away, or asked for during a reset
+    abort_wanted: bool = False  # to carry out with the first report: of a link that was away, or ordered in a reset
     _hold_seen: bool = False  # the mill has reported standing since the last hold
     _hold_at_s: float = 0.0
     _notified_at_s: float = 0.0
@@ -175,7 +177,7 @@ class StopControl:
         link = self.link
         link.hold_wanted = link.phase is not Phase.CLEARING
         if link.phase in (Phase.CLOSED, Phase.CLEARING):
-            return  # carried out with the first report; or on the way to a reset, which leaves nothing to hold
+            return  # carried out with the first report; or a reset is under way, which leaves nothing to hold
         if self.reporter.state is MillState.HOMING:
             self._reset_homing(now_s)
             return

@@ -220,7 +220,7 @@ class StreamMonitor:
         self.link.events.append(ProgramDone())
 
     def watch(self, now_s: float) -> None:
-        """Check the clock: is the mill silent, is a count of the answers due, is a sign overdue?"""
+        """Check the clock: is the mill silent, is a count of the answers due, or is a sign overdue?"""
         link, stream, silence = self.link, self._stream, self.link.silence
         silent_s = silence.silent_s
         if silent_s > REPORT_SILENCE_S:

@@ -42,7 +42,7 @@ class Stream:
         self.interpreter = interpreter
         self._next: Flight | None = None
         self._rest = b""  # counted, not yet given out: the wire has no room for them now
-        self._alone = False  # a line that writes settings is under way: nothing else may be
+        self._alone = False  # a line that writes settings is under way: no other line may be
         self.window: SendWindow[Flight] = SendWindow(capacity)
         self.tracker = tracker
         self.exhausted = False
@@ -50,7 +50,7 @@ class Stream:
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.echoed = False  # the oldest line under way has been echoed
         self.compared = False  # a reported position was found on the path
-        self.agreed_line = 0  # as many answers had come as lines, when this one was answered
+        self.agreed_line = 0  # when this line was answered, as many answers had come as lines
         self.count = count
 
     def fill(self, budget: int) -> bytes:
@@ -155,7 +155,7 @@ class Stream:
 
 @dataclass(slots=True, eq=False)
 class Streamer:
-    """Owns the program under way, from its start until the controller's buffers hold nothing of it any more.
+    """Owns the program under way, from its start until the controller's buffers hold none of it.
 
     echoes       : the controller echoes every line it has read
     late_answers : answers to a program that is being stopped still count
@@ -177,7 +177,7 @@ class Streamer:
 
     @property
     def corridor_mm(self) -> float:
-        """How far a reported position may be off: the option, and what rounding, steps and chords add."""
+        """How far a reported position may be off: the option, plus the errors of rounding, steps and chords."""
         view = self.link.view
         return self.link.options.corridor_mm + view.exact_mm + (view.settings.arc_tolerance_mm or 0.002)
 
@@ -222,7 +222,7 @@ class Streamer:
         link.enter(Phase.STREAMING, now_s)
 
     def end(self) -> None:
-        """Forget the program but for its progress, and for the modes that it leaves where it was carried out whole."""
+        """Forget the program except its progress, and the modes that it leaves if it was carried out completely."""
         stream, self.stream = self.stream, None
         if stream is not None:
             if self.link.phase is Phase.STREAMING and stream.drained:

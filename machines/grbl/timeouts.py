@@ -2,13 +2,13 @@
 
 Three signs, from quick to slow, each enough by itself:
 - no answer to '?' for REPORT_SILENCE_S of our own time: the controller or the link is dead, in every state;
-- Idle with lines unanswered for IDLE_S: nothing moves, so nothing is left that an answer could wait for but a dwell or
-  a spindle: a line or a reply was lost, or the stepper ran dry;
+- Idle with lines unanswered for IDLE_S: nothing moves, so an answer could only wait for a dwell or a spindle: a line or
+  a reply was lost, or the stepper ran dry;
 - no answer, no new position and no step proven for longer than everything still under way can take at worst.
 
-Time is SilenceClock's: only such in which we, and for the last two the link, could have heard. To every limit on an
-answer the round trip is added, as it was measured on this link (`late_s`). Nothing is lost by waiting: a mill that
-gets no lines runs dry and waits. The clock of the last two starts anew with every answer, every change of a reported
+Time is SilenceClock's: only time counts in which we, and for the last two signs the link, could have heard. The round
+trip measured on this link is added to every limit on an answer (`late_s`). Nothing is lost by waiting: a mill that gets
+no lines runs dry and waits. The clock of the last two starts anew with every answer, every change of a reported
 position and every hold, so that the worst case need not be close: it is there for motion that looks like standing (a
 circle in one poll).
 """
@@ -24,34 +24,34 @@ from machines.grbl.settings import ControllerSettings
 
 MARGIN_S = 2.0  # scheduling, USB adapters, networks
 SLACK = 1.5  # jerk-limited motion (grblHAL) takes up to half as long again; ceramic resonators are 0.5 % off
-REPORT_SILENCE_S = 30.0  # until a link is called lost: replies wait in drivers, networks and starved processes
+REPORT_SILENCE_S = 30.0  # until a link counts as lost: replies wait in drivers, networks and starved processes
 HANDSHAKE_SILENCE_S = 3.0
-IDLE_S, IDLE_REPORTS = 2.0, 5  # Idle is believed so long and so often in a row
+IDLE_S, IDLE_REPORTS = 2.0, 5  # Idle must last this long, in this many reports in a row
 BANNER_S = 5.0  # reset to banner: 0.1 s on an Uno, 2 s on an ESP32 that brings up its network
 HOLD_S = 8.0  # hold to standstill: rate / acceleration, 5000 mm/min at 20 mm/s2 is 4 s
 SPINDLE_S = 30.0  # grblHAL ($394, $395) and FluidNC wait for the spindle; a frequency converter takes its time
 DWELL_SLACK = 1.1  # the dwell loop of 1.1 is stretched by its interrupts
 UNKNOWN_MM = 2000.0  # a move from or to a place the program does not give, where the travel is not known either
 SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
-OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
+OFFER_S = 1.0  # after this time without an answer a person may send a reset
 NOTIFY_SILENCE_S = 3.0  # of silence while a program runs, until the operator is notified
 PERSON_S = 10.0  # until a controller that a person has sent resets to is given up
 REPORT_S = 0.25  # a report is due ten times a second
-TRIPS = 2.0  # round trips that a limit on an answer leaves: the way there and back, and as much again for a worse one
-MOST_LATE_S = 10.0  # no link that is of use takes longer
+TRIPS = 2.0  # round trips that a limit on an answer allows: the measured one, and as much again for a slower one
+MOST_LATE_S = 10.0  # no usable link takes longer
 SLOW_LINK_S = 0.25  # a longer round trip is reported to the person
 
 
 class SilenceClock(RunningTime):
-    """Time that counts while something is awaited. spent_s: our own; heard_s: the link's. Both only go on.
+    """Time that counts during a wait. spent_s: our own; heard_s: the link's. Both only increase.
 
     A wall clock runs while our process waits for a processor, while the computer sleeps, and while replies wait in a
     driver or a network. None of that is silence of the mill. So our own time passes in looks (`machines.clock`), and
     the link's in reports: between two of them as much of our time as passed, REPORT_S at most. Answers and reports come
     in the order in which they were made; a report that is here shows that no earlier answer is still on its way.
 
-    round_trip_s: what an answer takes on the way, there and back. A longer one counts at once, a shorter one for three
-    quarters. A silence between two reports counts, too: that is how a delay that has grown shows itself.
+    round_trip_s: travel time of a question and its answer. A longer one counts at once, a shorter one for three
+    quarters. A silence between two reports counts, too: it shows that the delay has grown.
     """
 
     __slots__ = ("_begun_s", "_reported_s", "heard_s", "notified", "round_trip_s", "unanswered")
@@ -102,7 +102,7 @@ def motion_time_s(step: Step, settings: ControllerSettings, overrides: tuple[int
     """Return the longest time for one move: every block of it from rest to rest, at the rate and acceleration of the
     weakest axis.
 
-    L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for what does not move.
+    L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for a block that does not move.
     """
     if not step.moves:
         return 0.0
@@ -153,7 +153,7 @@ def longest_wait_s(
 ) -> float | None:
     """Return the longest time without any sign until the answer to `first` is due; None if it waits for a person.
 
-    first    : the oldest unanswered line; None: all are answered, and the mill has still to come to rest
+    first    : the oldest unanswered line; None: all are answered, and the mill has not come to rest yet
     queued   : moves that were answered and may not be executed yet
     standing : the mill has reported Idle for IDLE_S: no motion is left
     """
@@ -167,7 +167,7 @@ def longest_wait_s(
 
 
 def _pause_s(step: Step, settings: ControllerSettings) -> float:
-    """Return how long it stands still on purpose: a dwell, or a spindle that speeds up or runs down."""
+    """Return how long the mill stands still on purpose: a dwell, or a spindle that speeds up or runs down."""
     if step.pause_s:
         return DWELL_SLACK * step.pause_s
     if not step.waits_for_empty_buffer or step.ends_program:

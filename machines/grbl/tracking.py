@@ -2,11 +2,11 @@
 
 `ok` means parsed and queued: the controller may still hold that line in its planner and in its segment buffer. A line
 counts as executed only when
-(a) so many *blocks of motion* were answered after it that no buffer can still hold it. Lines that move nothing take no
-place in any buffer and prove nothing; or
-(b) a line was answered that always waits for all motion before it: a dwell, M2, M30. M5, M3, M9 and G54 do not count:
-they wait only if they change something, which only the controller knows; or
-(c) a reported position lies on no earlier line than the next one; if it fits several, the earliest is assumed.
+(a) enough *blocks of motion* were answered after it, so that no buffer can still hold it. Lines that move nothing take
+no place in any buffer and prove nothing; or (b) a line was answered that always waits for all motion before it: a
+dwell, M2, M30. M5, M3, M9 and G54 do not count: they wait only if they change something, which only the controller
+knows; or (c) a reported position lies on no earlier line than the next one; if it fits several, the earliest is
+assumed.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from machines.gcode.modal import Position, Step
 # Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
 # (reference/machines.md, 1).
 LONG_BLOCKS_BEYOND_PLANNER = 2
-# Every segment belongs to one block and lasts at most 10 ms: of short blocks each segment, and one to spare, may hold a
-# block of its own. Segments by source: 1.1 has 6, grblHAL 10, FluidNC 6 to 20 by its configuration.
+# Every segment belongs to one block and lasts at most 10 ms: each segment of short blocks, and one to spare, may hold a
+# separate block. Segments by source: 1.1 has 6, grblHAL 10, FluidNC 6 to 20 by its configuration.
 SEGMENTS = {"grbl": 6, "grblhal": 10, "fluidnc": 20}
 # A block is short if it lasts less than this times the segments; twice 10 ms: override 200 %.
 SHORT_S_PER_SEGMENT = 0.02
@@ -158,7 +158,7 @@ class Tracker:
                 self.executed_line = entry[0]
 
     def take_report(self, position_mm: Triple) -> Sight:
-        """Judge a position reported in the program's work frame while the mill runs or stands within the program."""
+        """Judge a position, reported in the program's work frame, of a mill that runs or stands within the program."""
         if self._distrusted:
             return Sight(Place.UNTOLD)
         tolerance_mm = self.tolerance_mm
@@ -214,7 +214,7 @@ class Tracker:
         (found,) = ends
         behind = next((k for k in range(found + 1, len(steps)) if steps[k][1].moves), None)
         if behind is not None and _apart_mm(position_mm, steps[behind][1].end_mm) <= self.tolerance_mm:
-            return  # the mill may have come back by that one
+            return  # the mill may have come back along that step
         others = [step for index, (_, step) in enumerate(steps) if index not in (found, behind)]
         others += [step for _, step in islice(reversed(self._recent), BEHIND)]
         if not any(step.moves and step.distance_mm(position_mm) <= self.tolerance_mm for step in others):

@@ -86,8 +86,8 @@ class MachineView:
         return kept
 
     def take_settings(self, settings: ControllerSettings) -> tuple[str, ...]:
-        """Take settings that were read again. Return the changed settings of the frame; if there are any, the position
-        is not trusted.
+        """Store settings that were read again. Return those that define the frame and have changed; if there are any,
+        the position is no longer trusted.
         """
         changes = list_frame_changes(self.settings.values, settings.values)
         if changes:

@@ -36,7 +36,7 @@ class Disk(Protocol):
 
 
 class Syncer(Protocol):
-    """Calls `File.sync` in time. `failure` has the words of a failed sync until the next `take`."""
+    """Calls `File.sync` in time. `failure` has the message of a failed sync until the next `take`."""
 
     @property
     def failure(self) -> str: ...

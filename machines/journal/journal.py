@@ -29,7 +29,7 @@ _PATTERN = "journal-*.log"
 
 @dataclass(frozen=True, slots=True)
 class JournalContent:
-    """The state that the records add up to. `torn` says in words what could not be read, "" if all could."""
+    """The state that the records add up to. `torn` describes the part that could not be read, "" if there is none."""
 
     state: dict[str, Any]
     sequence: int

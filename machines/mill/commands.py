@@ -1,4 +1,4 @@
-"""Commands outside a run: sends them, words their end, and judges what a console line would change.
+"""Commands outside a run: sends them, describes how they ended, and judges what a console line would change.
 
 A console line that changes a protection of the mill, or the coordinates, needs a second confirmation. Reading ($$, $#,
 $G, $I, $N) and plain moves pass. Of the lines that begin with $, only those known to be harmless pass: a controller
@@ -40,9 +40,9 @@ from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 
 _MOVES_NOTHING = (ReadSettings, Override, JogCancel)
-_ASK_FIRST = (ProbeZ, ProbeCorner, Override)  # the controller, for its modes or the present override
+_ASK_FIRST = (ProbeZ, ProbeCorner, Override)  # from the controller, for its modes or the present override
 _AXES = "XYZ"
-_STEP_MM = 0.02  # of a coarse mill: its jogs may end that far from the requested position
+_STEP_MM = 0.02  # step of a coarse mill: its jogs may end that far from the requested position
 _NAMES: dict[type[Command], Phrase] = {
     Home: Phrase("Home"),
     Unlock: Phrase("Unlock"),

@@ -95,7 +95,7 @@ class MillCycle:
                     answer = None if event.failure else dict(event.answer)
             if ended_s is None:
                 continue  # the driver ends it: it knows the delay of its answers
-            # The work position comes with the offset, the spindle with the overrides: each only with some reports.
+            # The work position comes with the offset, the spindle with the overrides: each only in some reports.
             whole = driver.status.work_mm is not None and driver.status.complete
             if answer is None or whole or self.context.clock() >= ended_s + PLACE_S:
                 break

@@ -46,13 +46,13 @@ class HandSpindle:
     context: MillContext
     commands: Commands
     rpm: tuple[float, float] | None
-    _order: Order | None = None  # by which it may turn; None: nobody has switched it on
+    _order: Order | None = None  # the order under which it may turn; None: nobody has switched it on
     _ending: bool = False
     _try_at_s: float = float("-inf")
 
     @property
     def may_turn(self) -> bool:
-        """Whether somebody has switched it on and it is not known to be off again."""
+        """Whether somebody has switched it on and it is not yet known to be off again."""
         return self._order is not None
 
     def require_off(self, doing: str) -> None:
@@ -118,7 +118,7 @@ class HandSpindle:
                 self._try_at_s = now_s  # the link is busy: at the next look
 
     def end(self) -> None:
-        """Let nobody have it any more: the owner is about to close."""
+        """End everybody's use of it: the owner is about to close."""
         self._ending = self.may_turn
 
 

@@ -1,16 +1,16 @@
 """A mill as its owner drives it: one driver, one journal, at most one live run. Single-threaded: `step` does
 everything.
 
-Nothing here moves the mill by itself. A lost link is opened again at growing intervals. Then only queries are sent
-unasked, and a hold or an abort that was ordered while the link was away. Every start and every recovery needs a
-person's confirmation.
+Nothing here moves the mill by itself. A lost link is opened again at growing intervals. After that the only bytes sent
+automatically are queries, and a hold or an abort that was ordered while the link was away. Every start and every
+recovery needs a person's confirmation.
 
 A spindle that a person has switched on by hand is switched off when that person's control ends.
 
 The parts: `link` and `run_store` hold the link and the runs; `run_control` the streamed run, and runs whose mill went
-on unattended; `commands` sends commands outside a run, `travelling` plans ways, `hand_spindle` has the spindle there;
-`cycle` reads the driver; `starting` starts and recovers; `view` has the shared context, log and snapshot. `Mill`
-combines them and carries out orders.
+on unattended; `commands` sends commands outside a run, `travelling` plans ways, `hand_spindle` switches the spindle
+outside a run; `cycle` reads the driver; `starting` starts and recovers; `view` has the shared context, log and
+snapshot. `Mill` combines them and carries out orders.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Mill:
     def start(self, run_id: str, confirmation: Confirmation, *, setup: str | None = None) -> None:
         """Stream a parked run from its first line.
 
-        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError if it is another by now
+        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError if it has changed since
         """
         self._begin(lambda: self._starter.start(run_id, confirmation, self._order, setup=setup))
 
@@ -164,9 +164,9 @@ class Mill:
         return plan
 
     def recover(self, run_id: str, confirmation: Confirmation, *, plan_seen: str | None = None) -> None:
-        """Continue an interrupted run by the plan as it is now.
+        """Continue an interrupted run by its present plan.
 
-        plan_seen : digest of the plan that the person has read; OrderRefusedError if it is another by now
+        plan_seen : digest of the plan that the person has read; OrderRefusedError if the plan has changed since
         """
         self._begin(lambda: self._starter.recover(run_id, confirmation, self._order, plan_seen=plan_seen))
 
@@ -185,7 +185,7 @@ class Mill:
         self._cycle.look()
 
     def command(self, command: Command) -> None:
-        """Home, unlock, jog, probe, zero, override ...: the answer is an entry of the log."""
+        """Send a command (home, unlock, jog, probe, zero, override ...); its result appears as an entry of the log."""
         self._require_open()
         self._spindle.send(command, self._order)
         self._cycle.look()
@@ -197,14 +197,14 @@ class Mill:
         self._cycle.look()
 
     def go_to_zero(self, axes: str, feed_mm_per_min: float) -> None:
-        """Go to the work zero at a safe height, and with axes = "XYZ" down to it. The answer is an entry of the log."""
+        """Go to the work zero at a safe height, and with axes = "XYZ" down to it. The result is an entry of the log."""
         way = self._ways.to_zero(axes, feed_mm_per_min)
         if axes == "XYZ":
             self._spindle.require_off(way.name)
         self.command(way)
 
     def frame(self, program: str, feed_mm_per_min: float, *, confirmed: bool = False) -> None:
-        """Go around the outline of the program that waits, above all of it. As `WayPlanner.around`."""
+        """Go around the outline of the waiting program, above all its moves. As `WayPlanner.around`."""
         self.command(self._ways.around(program, feed_mm_per_min, confirmed=confirmed))
 
     # ------------------------------------------------------------------ stops

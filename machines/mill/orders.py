@@ -1,10 +1,10 @@
 """Decides whether an order may still be carried out, by the grants, the stop count and the lease of one mill.
 
-An order is anything that can start motion or change what a motion means. It is carried out under a grant: a word that
-is handed out when a person asks for it and that one order may use, once, within `GRANT_S` on this clock. A grant ends
-with the next stop (the stop count has risen), with a change of the lease (somebody else has control), and with this
-process, so neither a slow network nor a duplicate nor a restart can revive an old order. Nothing here compares the
-clocks of two computers.
+An order is anything that can start motion or change what a motion means. It is carried out under a grant: a secret that
+is issued when a person asks for it and that one order may use, once, within `GRANT_S` on this clock. A grant ends with
+the next stop (the stop count has risen), with a change of the lease (somebody else has control), and with this process,
+so neither a slow network nor a duplicate nor a restart can revive an old order. Nothing here compares the clocks of two
+computers.
 
 A stop needs no grant and waits for nothing: it raises the count in every state.
 """
@@ -265,7 +265,7 @@ class Permit:
         self._limit_s = CARRY_OUT_S
 
     def note_begun(self) -> None:
-        """Let only a stop or a change of control end it from now on: its first bytes have left."""
+        """From now on only a stop or a change of control ends it: its first bytes have left."""
         self._limit_s = math.inf
 
     @property
@@ -295,7 +295,7 @@ class Permit:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """The order being carried out, and its caller; without a permit it was not given as an order."""
+    """The order being carried out, and its caller; without a permit if nobody gave it as an order."""
 
     caller: Caller = NOBODY
     permit: Permit | None = None

@@ -16,9 +16,9 @@ from machines.preflight.timeline import compute_time_at_s
 from machines.runs import LIVE, RunReport, RunState, move_state
 
 MARK_EVERY_S = 0.5
-LINK_LOST = "link"  # why a run is unattended: in this case the journal has the last line sent
-OWNER_LOST = "owner"  # in this case the journal is up to a second behind
-_PACE_PRIOR_S = 60.0  # so long a run counts as exactly as fast as its estimate: the pace comes in without a jump
+LINK_LOST = "link"  # why a run is unattended: here the journal has the last line sent
+OWNER_LOST = "owner"  # here the journal is up to a second behind
+_PACE_PRIOR_S = 60.0  # weight of the estimate's pace: the run's own pace then enters without a jump
 
 
 class Run:
@@ -36,7 +36,7 @@ class Run:
         self._marked: tuple[object, ...] = ()
         self._looked_s: float | None = None
         self._moving_s = 0.0
-        self._moved_s = 0.0  # of it, until the last executed line: lines are known to be executed some time after it
+        self._moved_s = 0.0  # the part until the last executed line, which is known some time after its execution
         self._view: RunReport | None = None
         self.facts: Preflight | None = None
         self.reader: ProgramReader | None = None
@@ -47,7 +47,7 @@ class Run:
 
     @property
     def name(self) -> str:
-        """The program's name, which people know; the id is known only to who has parked the run."""
+        """The program's name, which people know; only the caller that parked the run knows its id."""
         return str(self.record.get("name") or self.path.name)
 
     @property
@@ -65,7 +65,7 @@ class Run:
 
     @property
     def cuts(self) -> bool:
-        """Whether it is a program as it is, and not a dry pass of one."""
+        """Whether it cuts: false for a dry pass."""
         return self.record.get("lift_mm") is None
 
     @property
@@ -196,7 +196,9 @@ class Run:
         return compute_time_at_s(self.record.get("timeline") or (), line, lines=lines, time_s=total_s)
 
     def take_back(self, fields: dict[str, Any]) -> None:
-        """Undo a start that did not take place. If the disk refuses this as well, its next good record will have it."""
+        """Undo a start that did not take place. If the disk refuses this as well, the next record that it accepts
+        contains it.
+        """
         with contextlib.suppress(JournalError):
             self.write("run", **fields)
 

@@ -2,7 +2,7 @@
 
 A run whose mill went on unattended is watched until the mill stands; then its progress is recorded. A run is unattended
 from the moment its link is lost, or its owner dies, until anything is done to the mill that could move it or its zero:
-any command, a restart, another run. Only in between does the mill's position prove anything.
+any command, a restart, another run. Only until then does the mill's position prove anything.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ class RunControl:
                 raise JournalError(failure)
 
     def _mirror(self, run: Run, state: RunState, status: MillStatus, progress: StreamProgress) -> None:
-        """Let the run's state follow the mill's: a button on the machine holds a run just as a call does."""
+        """Let the run's state follow the mill's: a button on the machine holds a run just as an order does."""
         if self._recovering and progress.answered_line > 0:
             self._recovering = False
         going = RunState.RECOVERING if self._recovering else RunState.RUNNING
@@ -254,7 +254,7 @@ class RunControl:
         words = words or (self._journal_words if state in (RunState.HOLDING, RunState.HELD) else "")
         told = Phrase("{state} ({words})", state=state.words, words=words) if words else state.words
         self.context.log.say("run", Phrase("{run}: {told}", run=run.view.name, told=told))
-        # Of any other run than the streamed one the driver knows nothing.
+        # The driver knows nothing about any run but the streamed one.
         mark = run.last_mark(self.context.link.progress) if run is self.streamed else {}
         run.move(state, words, **mark, **where, **more)
 

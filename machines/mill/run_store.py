@@ -267,7 +267,7 @@ class RunStore:
     def note_reset(self, status: MillStatus, parser_state: str | None, settings: ControllerSettings | None) -> None:
         """Note the mill's position after a reset that kept the count, for runs whose position was not in doubt.
 
-        The place proves it from then on: the reset has cleared the other proof, feed and spindle.
+        From then on the place alone proves the position: the reset has cleared the other proof, feed and spindle.
         """
         for run in [*self.recoverable(), *([self.live] if self.live is not None else [])]:
             present = Present.of_run(run.record, status, parser_state, settings)
@@ -276,7 +276,7 @@ class RunStore:
                 self.let_rest(run)
 
     def note_frame_change(self) -> None:
-        """Note for all recoverable runs that a setting has changed on which their position depends."""
+        """Note for all recoverable runs that a setting on which their position depends has changed."""
         for run in self.recoverable():
             run.write("frame", reframed=True)
             self.let_rest(run)

@@ -55,7 +55,7 @@ def check_file(run: Run, facts: Preflight) -> None:
 
 
 def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
-    """Raise NotAllowedError if the program relies on modes in which the controller is not."""
+    """Raise NotAllowedError if the program relies on modes that the controller is not in."""
     modes = str((answer or {}).get("parser_state") or "").split()
     if not modes:
         return
@@ -140,7 +140,7 @@ def recovery_placement(
     settings: ControllerSettings | None,
     status: MillStatus,
 ) -> Placement:
-    """Check the way in, and the rest of the program as a whole: the part already cut did fit."""
+    """Check the way in, and the whole rest of the program; the part that is already cut has fitted."""
     whole = program_placement(facts, reader, settings, status)
     way = _way_in_placement(blocks, facts, settings, status)
     return Placement((*whole.problems, *way.problems), whole.certain or way.certain)

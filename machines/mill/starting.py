@@ -122,12 +122,12 @@ class RunStarter:
         self._stream(run, RunState.RUNNING, baseline, driver, reader.lines(1), order)
 
     def recover(self, run_id: str, confirmation: Confirmation, order: Order, *, plan_seen: str | None) -> None:
-        """Continue an interrupted run by the plan as it is now. plan_seen : as `Mill.recover`"""
+        """Continue an interrupted run by its present plan. plan_seen : as `Mill.recover`"""
         run = self.context.runs.get(run_id)
         order.extend()
         plan, answer, placement = self.planner.plan(run)
         if plan_seen is not None and plan_seen != plan.digest:
-            raise OrderRefusedError(Refusal.PLAN, "recover: the plan is another by now; read it again")
+            raise OrderRefusedError(Refusal.PLAN, "recover: the plan has changed; read it again")
         confirmation.demand(RECOVER_CHECKS, "recover")
         if plan.refusals:
             raise NotAllowedError(Phrase("recover: {words}", words=join("; ", plan.refusals)))
@@ -162,7 +162,7 @@ class RunStarter:
         return driver
 
     def _vouch(self, driver: Driver) -> None:
-        """From here on, use as reference the position at which the operator confirmed the zero."""
+        """From here on, the position at which the operator confirmed the zero is the reference."""
         if not driver.status.position_trusted:
             try:
                 driver.command(TrustPosition(), allow_always)

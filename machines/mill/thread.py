@@ -60,7 +60,7 @@ class MillThread:
     def call(self, function: Callable[[Mill], T], timeout_s: float = _CALL_S) -> T:
         """Run `function` on the owner thread; return its result or raise its exception.
 
-        A caller that waited in vain gets an error that says that the call was not made, so a call that has not begun by
+        A caller that waits in vain gets an error which says that the call was not made; a call that has not begun by
         then never begins.
         """
         if threading.current_thread() is self._thread:
@@ -70,7 +70,7 @@ class MillThread:
             with contextlib.suppress(TimeoutError):
                 return future.result(min(LOOK_S, timeout_s / 2.0))
             if future.done():
-                return future.result()  # its own TimeoutError, or it has just ended
+                return future.result()  # the call's own TimeoutError, or the call has just ended
         raise no_answer(timeout_s, taken_back=future.cancel())
 
     def submit(self, function: Callable[[Mill], T]) -> Future[T]:

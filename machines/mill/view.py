@@ -31,7 +31,7 @@ class LogEntry:
     code: str = ""
     values: dict[str, Any] = dataclasses.field(default_factory=dict)
     answer: dict[str, Any] = dataclasses.field(default_factory=dict)  # of a command
-    by: str = ""  # whose order it was, and where that came from
+    by: str = ""  # who gave the order, and from where
     origin: str = ""
 
     def as_dict(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class MillLog:
 class MillContext:
     """The context that the parts of a mill's owner share.
 
-    clock, wall_clock : seconds that nobody sets; seconds since 1970
+    clock, wall_clock : seconds of a clock that nobody sets; seconds since 1970
     """
 
     link: MillLink
@@ -120,7 +120,7 @@ class MillSnapshot:
     settings : as the controller has reported them; None if the link reports none
     run      : the current run: the live one, else the last one
     runs     : all that are known, newest first
-    latched  : "hold" or "abort" asked for while the link was away; carried out first when it is back
+    latched  : "hold" or "abort" ordered while the link was away; carried out first when it is back
     problem  : why there is no link, in words
     needs    : what a person has to do before the next start, in words
     zeroed   : axes whose work zero was set on this link, as far as the position is still trusted

@@ -19,7 +19,7 @@ from phrases.phrase import Phrase, phrases_in, restore
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Smallest box around all programmed points, mm; None for an axis that never was at a known place."""
+    """Smallest box around all programmed points, mm; None for an axis that was never at a known place."""
 
     least_mm: tuple[float | None, float | None, float | None]
     most_mm: tuple[float | None, float | None, float | None]
@@ -220,7 +220,8 @@ def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
 
 
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[Phrase, ...]:
-    """Return where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
+    """Return a sentence for each place where the program, at the controller's present offsets, leaves the machine's
+    travel.
 
     Call it right before a start: offsets change when the work is zeroed. It is also empty if nothing can be said:
     travel or offsets are not known, or the machine has no homing.

@@ -2,8 +2,8 @@
 
 Each row judges one `Reading` of the whole program. A broken rule means one of three things:
     REFUSE  the program is never sent to a mill
-    FAULT   `check` and a job fail; before a start it is a warning, as the author of a program may want it so. The way
-            in is judged once more then, from where the tool stands.
+    FAULT   `check` and a job fail; before a start it is a warning, as the author of a program may intend it. Then the
+            way in is judged once more, from where the tool stands.
     WARN    a person should know it
 """
 
@@ -28,7 +28,7 @@ _LONG_PAUSE_S = 1000.0  # a warm-up of an hour has four steps
 
 Events = Sequence[Sequence[int]]
 NO_EVENTS: Events = ((0, 0),) * tally.EVENTS
-STARVED_SHARE = 0.1  # of the time, from which waiting for lines is worth a word
+STARVED_SHARE = 0.1  # share of the time from which waiting for lines is worth a warning
 
 
 class Severity(StrEnum):
@@ -79,7 +79,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One row: its name, what it means where `judge` says something, and that."""
+    """One row: its name, the severity of a finding, and `judge`, which returns the finding."""
 
     code: str
     severity: Severity
@@ -99,13 +99,13 @@ def judge_program(reading: Reading) -> tuple[Finding, ...]:
 
 
 def list_assumed_modes(events: Events) -> tuple[str, ...]:
-    """Return modes in force at the first coordinates although the program has not said them."""
+    """Return modes that are in force at the first coordinates although the program has not set them."""
     pairs = ((tally.UNITS_ASSUMED, "G21"), (tally.DISTANCE_ASSUMED, "G90"))
     return tuple(word for slot, word in pairs if events[slot][1])
 
 
 def find_boxes(rows: Sequence[Sequence[float]]) -> dict[str, Bounds]:
-    """Return boxes of the frames that were used; infinite ends are axes that never were at a known place."""
+    """Return boxes of the frames in use; infinite ends are axes that were never at a known place."""
     found = {}
     for name, row in zip(_FRAMES, rows, strict=True):
         ends = [value if isfinite(value) else None for value in map(float, row)]
@@ -374,7 +374,7 @@ RULES = (
         _FAULT,
         _judge_event(
             tally.BLIND_RELATIVE,
-            Phrase("moves relatively (G91) from a place the program does not tell; extents leave it out"),
+            Phrase("moves relatively (G91) from a place that the program does not state; extents leave it out"),
         ),
     ),
     Rule(

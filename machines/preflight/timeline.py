@@ -13,9 +13,9 @@ Timeline = Sequence[Sequence[float]]  # (line, seconds from the start at which i
 
 
 def thin_out(knots: Timeline, most: int = KNOTS) -> tuple[tuple[int, float], ...]:
-    """Return at most so many of the knots, even in lines and in time together, the last among them.
+    """Return at most `most` of the knots, even in lines and in time together, including the last one.
 
-    So no two neighbours are further apart than 2 / most of the whole, in either, unless one line takes so long.
+    So no two neighbours are further apart than 2 / most of the whole, in lines or time, unless one line takes longer.
     """
     if len(knots) > most:
         (line0, s0), (line1, s1) = knots[0], knots[-1]

@@ -30,7 +30,7 @@ _REPORTED_MM = 0.01  # half a step and the digits of a report
 
 
 class Motion(NamedTuple):
-    """One step on the way in. axes : of "XYZ" that it moves; all if it goes home without naming an axis"""
+    """One step on the way in. axes : those of "XYZ" that it moves; all if it goes home without naming an axis"""
 
     line: int
     step: Step

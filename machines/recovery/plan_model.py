@@ -22,7 +22,7 @@ _NOT_THERE = Phrase(
 
 
 def describe_refusal(refusal: Phrase) -> Phrase:
-    """Return a refusal among the words of a plan."""
+    """Return a refusal for the texts of a plan."""
     return Phrase("REFUSED: {refusal}", refusal=refusal)
 
 
@@ -96,7 +96,7 @@ class RecoveryPlan:
 
     executed_line : certainly cut up to here     resume_line : the next one
     overlap_line  : the line that is sent first  recut_lines : lines sent again
-    position_mm   : where the tool is put down (work frame); None: the program starts from its top
+    position_mm   : where the tool comes down (work frame); None: the program starts at its first line
     blocks        : sent before the program
     zero_back     : a block that restores the work zero at which the run was cut; "" if it is the same, or not certain
     spindle_on    : whether it turns now; None if the link does not report it
@@ -172,7 +172,7 @@ class RecoveryPlan:
         """Return the plan with the moves that leave the travel: as a refusal if machine coordinates are certain, else
         as a remark.
 
-        They are not certain while there are needs: a mill that must be homed counts from anywhere.
+        They are not certain while there are needs: a mill that must be homed counts from an unknown place.
         """
         if not problems:
             return self

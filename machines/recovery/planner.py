@@ -1,10 +1,10 @@
 """Plans the recovery of an interrupted run: from the journal to a plan that a person can check.
 
-The plan starts at the line after the last one that was *executed* for certain, steps back one move (so that the cut is
-joined, not butted), and brings the tool there from its position: spindle on, straight up, across, down at plunge feed.
-Cutting something twice is harmless; skipping, or starting in a wrong place, is not. A state that cannot be
-reconstructed with certainty is refused. Nothing here reads a clock, a port or a journal, and nothing moves. If the link
-does not report positions, the plan names the sequence numbers between which the control stopped.
+The plan starts at the line after the last one that was *executed* for certain, steps back one move (so that the cuts
+overlap), and brings the tool there from its position: spindle on, straight up, across, down at plunge feed. Cutting
+something twice is harmless; skipping, or starting in a wrong place, is not. A state that cannot be reconstructed with
+certainty is refused. Nothing here reads a clock, a port or a journal, and nothing moves. If the link does not report
+positions, the plan names the sequence numbers between which the control stopped.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _LOOK_BACK = 2000  # lines
 
 
 def height_mm(present: Present, wcs: str) -> float | None:
-    """Return Z of the tool in the frame the program is entered in, which need not be the one the controller is
-    in now.
+    """Return Z of the tool in the frame in which the program is entered, which may differ from the controller's present
+    one.
     """
     status, zero_mm = present.status, work_zero_mm(present.offsets or {}, wcs)
     if status.machine_mm is None or zero_mm is None:
@@ -41,7 +41,7 @@ def height_mm(present: Present, wcs: str) -> float | None:
 
 
 def travel_height_mm(present: Present, wcs: str, facts: Preflight, reentry: Reentry) -> float:
-    """Work Z at which the tool goes across: the safe height, or as high as the program goes, where that is higher.
+    """Work Z at which the tool goes across: the safe height, or the greatest height of the program if that is higher.
 
     If the mill does not reach the safe height, it is the greatest height that it reaches, which is not below the
     program's own.

@@ -22,7 +22,7 @@ from machines.preflight.preflight import work_zero_mm
 from machines.recovery.needs import OFFSET_TOLERANCE_MM
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
-_LINES_BEFORE_PLACE = 200  # by then a program has given all axes
+_LINES_BEFORE_PLACE = 200  # by then a program has stated all axes
 _STEP_MM = 0.01  # if the controller does not report one
 
 

@@ -39,9 +39,10 @@ class Travel:
 
 
 def nc_reader(dialect: str, start_mm: Triple | None = None) -> Callable[[bytes], Travel]:
-    """Return a reader of lines of G-code, in order, to what they do. `start_mm` is where the mill stands (work frame):
-    without it the first moves have no beginning, could be under way anywhere, and the mill would never be known to have
-    left them."""
+    """Return a function that turns lines of G-code, in order, into their motion. `start_mm` is the mill's position
+    (work frame): without it the first moves have no beginning and could be under way anywhere, and it would never be
+    known that the mill has left them.
+    """
     interpreter = Interpreter(ModalState(position_mm=start_mm) if start_mm else None, dialect=dialect)
 
     def read(text: bytes) -> Travel:
@@ -53,7 +54,7 @@ def nc_reader(dialect: str, start_mm: Triple | None = None) -> Callable[[bytes],
 
 
 def rml_reader(start_mm: Triple | None = None) -> Callable[[bytes], Travel]:
-    """Return a reader of lines of RML-1, each with any number of commands, to what they do."""
+    """Return a function that turns lines of RML-1, each with any number of commands, into their motion."""
     interpreter = RmlInterpreter(position_mm=start_mm or (None, None, None))
 
     def read(text: bytes) -> Travel:

@@ -30,7 +30,7 @@ UNIT_MM = 0.01
 NO_HEIGHT = 10_500  # in units, and above: the mill stops at its top [src: posts lift by it, and go across at it]
 FASTEST_MM_PER_S = 50.0  # V of the MDX-40: 3000 mm/min
 LONGEST_DWELL_MS = 32767
-MOST_COMMAND_BYTES = 256  # far above any command of use; a file without `;` is not RML
+MOST_COMMAND_BYTES = 256  # far longer than any usable command; a file without `;` is not RML
 LARGEST = 8388608.0
 SPEED_CODES = 15  # !RC 0..15: evenly from the slowest to the fastest spindle speed
 
@@ -70,7 +70,7 @@ REFUSED = {
 
 
 class RmlFault(ValueError):
-    """The fault of one command, in words."""
+    """A command with a fault; the message describes it."""
 
     def __init__(self, words: Phrase) -> None:
         super().__init__(words)

@@ -1,7 +1,7 @@
 """The MDX-40A on its own USB link: one block under way, the mill's byte counter says when the next may go.
 
 The counter means *taken into the mill's buffer*, a few blocks before they are cut; progress of the cut is read from the
-reported position. No USB command is confirmed to pause a running job, so a hold means that no more is sent. The mill
+reported position. No USB command is confirmed to pause a running job, so on a hold nothing more is sent. The mill
 finishes the few blocks it has and stands; the VIEW button pauses it at once, opening the cover stops it as an emergency
 stop.
 """
@@ -217,7 +217,7 @@ class RolandUsbDriver:
             job.note_change(now_s)
         origin_mm = job.feed.origin_mm if job.feed is not None else before.work_offset_mm
         work_mm = to_work_mm(state.machine_mm, origin_mm)
-        trusted = before.position_trusted or state.phase in ("idle", "moving")  # it homes at power-up by itself
+        trusted = before.position_trusted or state.phase in ("idle", "moving")  # it homes by itself at power-up
         self._channel.update(
             machine_mm=state.machine_mm,
             work_mm=work_mm,

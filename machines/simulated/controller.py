@@ -90,7 +90,7 @@ def is_touching(traits: Traits, at_mm: Triple) -> bool:
 
 
 def find_contact(traits: Traits, start_mm: Triple, end_mm: Triple, *, shift_mm: Triple) -> Triple | None:
-    """Return where contact begins or ends on a straight path, None if it does neither.
+    """Return the place where contact begins or ends on a straight path; None if it does neither.
 
     shift_mm : from the coordinates of the way, and of the answer, to physical ones
     """
@@ -162,7 +162,7 @@ class Controller:
         self.after_task: Callable[[], None] | None = None
         self.held = False
         self.critical = False
-        self.alarm, self.alarm_until_s = 0, inf  # being reported, and until when nothing else is done
+        self.alarm, self.alarm_until_s = 0, inf  # alarm being reported, and the time until which nothing else happens
         self.reset_pending = False
         self.jog_cancel = False
         self.soft_limit = False
@@ -202,7 +202,7 @@ class Controller:
         return self.to_physical(*self.stepper.where(self.now_s))
 
     def to_physical(self, x: float, y: float, z: float) -> Triple:
-        """Return where the tool is for the firmware's machine coordinates."""
+        """Return the tool's position in the firmware's machine coordinates."""
         (kx, ky, kz), (sx, sy, sz) = self.scale, self.shift
         return (kx * x + sx, ky * y + sy, kz * z + sz)
 

@@ -29,7 +29,7 @@ _MOST_WAITING = 65536
 
 
 class MemoryPort:
-    """Implements machines.port.Port. Time passes only in `read`, which ends as soon as something has come.
+    """Implements machines.port.Port. Time passes only in `read`, which ends as soon as a byte has come.
 
     baud : of the host's side; None: no pacing. Not the mill's: both sides read garbage
     """
@@ -299,7 +299,7 @@ class _Tcp(Endpoint):
 
 
 def serve_pty(mill: SimulatedMill, time_factor: float = 1.0, link: Path | None = None) -> Endpoint:
-    """Return a pseudo terminal; `link` is a symlink to it under a steady name, kept right over replugs."""
+    """Return a pseudo terminal; `link` is a symlink to it under a fixed name, kept valid over replugs."""
     return _Pty(mill, time_factor, link)
 
 

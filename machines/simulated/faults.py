@@ -125,7 +125,7 @@ class Wired(Protocol):
 class FaultWire:
     """Counts bytes, lines and replies of a mill's wire and applies the plan to them.
 
-    active : a plan is there; without one the wire is not looked at
+    active : there is a plan; without one the wire is not examined
     """
 
     def __init__(self, faults: Faults, mill: Wired) -> None:

@@ -106,7 +106,9 @@ class SimulatedMove:
 
 @dataclass(slots=True)
 class Action:
-    """What a checked line asks for, beyond the modal state it leaves. `order` of execution is the firmware's."""
+    """The actions of a checked line, beyond the modal state that it leaves. The firmware determines the `order` of
+    execution.
+    """
 
     words: Words
     modal: dict[str, str]
@@ -138,7 +140,7 @@ class SimulatedInterpreter:
     offset: Triple = ZERO
 
     def reset(self) -> None:
-        """Begin as after Ctrl-X: G92, G43.1 and modal state are gone; what is in the EEPROM stays."""
+        """Begin as after Ctrl-X: G92, G43.1 and modal state are gone; values in the EEPROM stay."""
         self.modal = dict(_START)
         self.coolant.clear()
         self.feed = self.spindle_rpm = self.tool_length = 0.0

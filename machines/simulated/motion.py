@@ -296,7 +296,7 @@ class Stepper:
         self.planner.x, self.planner.y, self.planner.z = self.x, self.y, self.z
 
     def starve(self) -> None:
-        """Stop the axes at the end of this piece although blocks wait (a stepper that ran dry)."""
+        """Stop the axes at the end of this piece although blocks are waiting (an empty segment buffer)."""
         self.segments.give_back()
         self.next_s = inf
 

@@ -29,7 +29,7 @@ class PlannedBlock:
     ux: float
     uy: float
     uz: float
-    sx: float  # start of what is not recorded yet
+    sx: float  # start of the part that is not recorded yet
     sy: float
     sz: float
     remaining: float
@@ -139,7 +139,7 @@ class Planner:
         return accel * self._deviation * sin_half / (1.0 - sin_half)
 
     def _set_nominal(self, b: PlannedBlock, previous_nominal: float) -> None:
-        """Set the speed with overrides, and what it allows at the entry."""
+        """Set the speed with overrides, and the entry speed that it allows."""
         if b.rapid:
             nominal = b.programmed * self.rapid_override
         else:

@@ -16,8 +16,8 @@ CRITICAL = (1, 2)  # wait for a reset
 
 
 def end_alarm(fw: Controller) -> None:
-    """End the half second: alarms 1 and 2 forget a reset that was requested meanwhile and wait for a new one, the
-    others go on.
+    """End the half second of an alarm: alarms 1 and 2 forget a reset that was requested meanwhile and wait for a new
+    one; after other alarms the controller goes on.
     """
     code, fw.alarm, fw.alarm_until_s = fw.alarm, 0, inf
     if code in CRITICAL:

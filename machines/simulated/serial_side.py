@@ -101,8 +101,8 @@ class SerialSide:
         return inf
 
     def take_line(self) -> bytes:
-        """Return the next line. While the main loop waits for it, its bytes do not stay in the ring: they cannot
-        overflow.
+        """Return the next line. While the main loop waits for it, its bytes do not stay in the ring, so they cannot
+        overflow it.
         """
         ring, incoming = self.ring, self.incoming
         if ring:
@@ -124,7 +124,7 @@ class SerialSide:
             return parts + data[:k] if parts else data[:k]
 
     def admit(self, at_s: float) -> None:
-        """Put bytes that came while the main loop was busy into the ring, or nowhere."""
+        """Put bytes that came while the main loop was busy into the ring, or drop them if the ring is full or deaf."""
         incoming, ring = self.incoming, self.ring
         while incoming:
             first, data = incoming[0]
@@ -145,7 +145,7 @@ class SerialSide:
             self.most_used = len(ring)
 
     def count_used(self, at_s: float) -> int:
-        """Return bytes in the ring now, as Bf: reports."""
+        """Return the number of bytes in the ring now, as Bf: reports it."""
         waiting = sum(self._count_arrived(first, len(data), at_s) for first, data in self.incoming)
         return min(self.rx_bytes, len(self.ring) + waiting)
 

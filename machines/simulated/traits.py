@@ -18,7 +18,8 @@ DEFAULT_SETTINGS: Mapping[int, float] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornerPlate:
-    """A plate on the front left corner of a block, with no end to the right, backwards and down; and what touches it.
+    """A plate on the front left corner of a block, unbounded to the right, backwards and down; and the tool that
+    touches it.
 
     left_mm, front_mm : physical X and Y of the faces that are touched from the left and from the front
     tool_radius_mm    : of the cylinder that touches them
@@ -55,8 +56,9 @@ class Traits:
     percent_allowed        : a line "%" is taken (grblHAL, FluidNC)
     power_up_machine_mm    : where the tool stands at power-up, in coordinates a homing cycle would find
     reset_slip_mm          : steps lost, as a distance along the motion, when motion is cut off without deceleration
-    probe_surface_mm       : physical Z of the surface a probe touches; None: never
-    corner_plate           : where that surface ends, and can be touched from the left and from the front; None: nowhere
+    probe_surface_mm       : physical Z of the surface a probe touches; None: it touches none
+    corner_plate           : the plate at which that surface ends, and can be touched from the left and from the front;
+                             None: no plate
     """
 
     firmware: str = "grbl"

@@ -48,7 +48,7 @@ _M_GROUPS = {0: "flow", 1: "flow", 2: "flow", 30: "flow", 3: "spindle", 4: "spin
 
 @dataclass(slots=True)
 class Words:
-    """What one line says. commands: group -> command ("G1", "M3"); values: letter -> number, as written.
+    """The content of one line. commands: group -> command ("G1", "M3"); values: letter -> number, as written.
 
     axis_command : "" | "motion" | "non-modal" | "tool-length": the command that takes the axis words
     """

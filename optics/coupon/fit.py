@@ -1,8 +1,8 @@
 """Fits the finish to the fringes of both halves: k0 and order with their errors, and the wall's distance.
 
 Theory of operation. The half as milled determines how strongly wall, mill and light show the ripples (the lever and the
-blur). With these, the finished half shows what is left of each ripple. All strips are fitted at once by the model of
-`fringes`. Then each ripple separately, with the other parameters fixed, gives a point of the curve and its error.
+blur). With these, the finished half shows the remaining part of each ripple. All strips are fitted at once by the model
+of `fringes`. Then each ripple separately, with the other parameters fixed, gives a point of the curve and its error.
 Errors of k0 and order come from refitting the curve through resampled ripples many times, which covers the model's
 errors as well as the photograph's noise.
 """
@@ -127,7 +127,7 @@ class _Model:
         self.light = lru_cache(maxsize=4 * max(1, len(self.finished)))(self._light)
 
     def harmonics(self, profile: Profile, setting: _Setting, *, finished: bool) -> Callable[[float], Complex]:
-        """Return a strip's light c_0 ... c_m when all its heights are that many times higher."""
+        """Return a strip's light c_0 ... c_m with all its heights scaled by this factor."""
         if not finished:
             return lambda scale: fringe_coefficients(profile, scale * setting.lever)
         strip = Finished.of(profile, setting.finish.transfer)
@@ -342,8 +342,8 @@ def _find_minimum(costs: Array, scale: float) -> tuple[float, float]:
 
 
 def _find_ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ranges that hold 68 % of curves through ripples drawn anew with their own errors around what was
-    found.
+    """Return the ranges that hold 68 % of the curves through ripples drawn at random, with their errors, around the
+    result.
     """
     k = np.array([one.k_rad_per_mm for one in left])
     share = np.array([one.share for one in left])

@@ -4,7 +4,7 @@ Theory of operation. A ray that leaves the piece at (x, y) arrives at (x, y) + l
 the wall times (n - 1): exact for small slopes, whether rays cross or not. In the observed window, over part of the
 strip's height, the light over the period is c_0 + 2 Re sum c_m exp(i m k x), with c_m the sum of exp(-i m k X)
 over all rays that arrive there (of one even ripple of strength m c_1 is the Bessel function J_1(m)). Blur of standard
-deviation s takes c_m down to exp(-(m k s)^2 / 2) of itself.
+deviation s reduces c_m by the factor exp(-(m k s)^2 / 2).
 
 As milled c_m is summed over the heights that the programs leave, marks of the rows and neighbours included, for many
 levers: a table. Behind a finish rows are gone, and a strip is the mean of its rows, z = Re sum A_n exp(i n k x) times
@@ -39,7 +39,7 @@ _MOST = 20
 _SHARPEST_MM = 0.015  # least expected blur of a photograph: higher harmonics vanish
 _SAMPLES = 256  # in a period
 _BINS = 4096  # of a period, for harmonics to a few millionths
-_ENOUGH, _MOST_SKIPPED = 40, 5  # columns of a period as milled; of those, one in so many is looked at
+_ENOUGH, _MOST_SKIPPED = 40, 5  # columns of a period as milled; at most one of this many is used
 _Y_STEP_MM, _Y_HALF, _Y_STRIDE = 1 / 32, 128, 2
 _BEYOND_MM = 1.2  # of a strip: light from farther away belongs to others
 _SOFT_MM = 0.05  # of the window's borders, against the grid of samples
@@ -61,7 +61,7 @@ class Profile:
 def profiles_of_heights(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -> tuple[Profile, ...]:
     """Return the profiles of all strips with a period, from heights (ny, nx) of the milled right half.
 
-    The grid must be fine: short ripples of a coarse mill have edges, and 0.02 mm instead of 0.01 mm are a tenth of
+    The grid must be fine: short ripples of a coarse mill have edges, and 0.02 mm instead of 0.01 mm costs a tenth of
     their fringes.
     """
     half: Half = "right"
@@ -117,7 +117,7 @@ def fringe_coefficients(profile: Profile, lever: float) -> Complex:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Finished:
     """A strip behind a finish: slopes along and across (ny, samples in a period) at places y_mm (ny,), from its middle
-    up: what is below is their mirror image. counts (ny,): for how many rows each stands.
+    up: the part below is their mirror image. counts (ny,): number of rows that each represents.
     """
 
     strip: Strip

@@ -1,6 +1,6 @@
 """Estimates a mill's errors from row to row from the grain in the light of the half as milled.
 
-Theory of operation. A row that is too deep cuts a wider groove and takes from its neighbours. Each groove spreads its
+Theory of operation. A row that is too deep cuts a wider groove, at the cost of its neighbours. Each groove spreads its
 light over a few rows, so the light, averaged along the rows, has grain across them that grows with the errors. There is
 no formula: rows with random errors of several sizes are cut and lit in one dimension and blurred like the photograph,
 and the size with the photograph's grain is the result. Multiplying two means of different columns removes the
@@ -21,7 +21,7 @@ from optics.heightfield import Array
 
 _TRIED_MM = np.geomspace(0.0001, 0.004, 12)
 _PIECES = 24  # random pieces for each size
-_RIM_MM, _SLOW_MM = 1.6, 0.5  # left out at either rim; slower changes are the strips' and the lamp's
+_RIM_MM, _SLOW_MM = 1.6, 0.5  # left out at either rim; slower changes come from the strips and the lamp
 _BIN_MM = 0.05
 _SEED = 11
 
@@ -101,7 +101,8 @@ def _grain_of_rows(sigma_mm: float, radius_mm: float, pitch_mm: float, lever_mm:
 def _grooves(y_mm: Array, z_mm: Array, radius_mm: float) -> tuple[Array, Array, Array]:
     """Return the rows (n,) that others do not cut away, and the interval of the surface that each makes.
 
-    Of parabolas (y - y_j)^2 / 2R + z_j the lowest: those on the lower hull of the points (y_j, z_j + y_j^2 / 2R).
+    The lowest of the parabolas (y - y_j)^2 / 2R + z_j are those on the lower hull of the points (y_j, z_j + y_j^2 /
+    2R).
     """
     height = z_mm + y_mm**2 / (2 * radius_mm)
     hull: list[int] = []

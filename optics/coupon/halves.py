@@ -1,4 +1,4 @@
-"""The light of a piece of which one half is finished: each half by itself, added up on one screen."""
+"""The light of a piece with one finished half: each half is computed separately and added on one screen."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Strip:
     """Heights that depend on x alone, from low_mm to high_mm in y.
 
     cycles       : in the window; 0 for the flat
-    amplitude_mm : of the ripple; of the ramp, half of what it rises
+    amplitude_mm : of the ripple; of the ramp, half its rise
     """
 
     kind: Kind
@@ -118,7 +118,9 @@ class Coupon:
         return self.throw_mm * (self.refractive_index - 1) * strip.k_rad_per_mm**2 * strip.amplitude_mm
 
     def heightfield(self, spacing_mm: float = 0.025) -> Heightfield:
-        """Return the surface on a grid of about that spacing; 0.025 mm are a dozen vertices in the shortest period."""
+        """Return the surface on a grid of about that spacing; 0.025 mm gives a dozen vertices in the shortest
+        period.
+        """
         nx, ny = round(WIDTH_MM / spacing_mm) + 1, round(HEIGHT_MM / spacing_mm) + 1
         x, y = np.linspace(0.0, WIDTH_MM, nx), np.linspace(0.0, HEIGHT_MM, ny)
         z = np.full((ny, nx), self.flat_mm)

@@ -21,7 +21,7 @@ _MOST_WHITE = 0.35  # share of a bin's pixels; with more white ones their median
 class Rectified:
     """Light on the wall over the piece's own screen, in the work frame: row 0 at the lowest y, any unit.
 
-    light (ny, nx)  : linear; what is dark around the piece is 0
+    light (ny, nx)  : linear; dark surroundings of the piece are 0
     usable (ny, nx) : in the photograph and not white there
     white (ny, nx)  : in the photograph and too bright for it
     pixel_mm        : size along x of the photograph's own pixels, in the middle of the left and of the right half

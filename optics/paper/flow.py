@@ -13,8 +13,8 @@ Details that the paper leaves open, and our choices:
   the big bright triangles pull thin ones flat, and photographs stick at up to 1.4 times the difference.
 - dt is half the largest step that flips no triangle, as in the paper, and never more than the Newton step.
 - The mean over triangles cannot see a checkerboard, so D keeps the part of it that alternates from pixel to pixel.
-- A mesh that is stuck or has settled still goes on to step 25, the last one of the paper's Fig. 6. The lens is made
-  where it got stuck: later steps gain less than a percent, and their triangles are too thin to solve a surface on.
+- A mesh that is stuck or has settled still goes on to step 25, the last one of the paper's Fig. 6. The lens uses the
+  mesh where it got stuck: later steps gain less than a percent, and their triangles are too thin to solve a surface on.
 - Vertices stand on the centres of their pixels, so that faces are pixels; the outermost ones stand on the frame, where
   only the component along it is followed. Zero intensity has no continuous map: the target is lifted to a floor.
 
@@ -71,7 +71,7 @@ def solve_paper_map(
     lens_cells: tuple[int, int] | None = None,
     on_progress: Progress | None = None,
 ) -> PaperFlow:
-    """Move the mesh until the lens sends every pixel its light, or until a triangle is in the way.
+    """Move the mesh until the lens sends every pixel its light, or until a triangle stops it.
 
     target (ny, nx) : irradiance in the work frame (row 0 = lowest y), at least 4 x 4, mean 1 up to scale
     lens_cells      : (x, y) of the even grid that "clean" remeshing ends on; two a pixel by default

@@ -10,7 +10,7 @@ the bright ones many, because vertices go where the light is. No vertex is rando
 - D of a face of any shape on the screen is exact (face_light); the Poisson source is its light, as before.
 - Steps start on every second of the lens's own vertices; the last grid *is* the lens's, so the surface is solved on it
   and nothing is resampled on the way to the heightfield.
-- Reading the map bilinearly keeps it one-to-one but for a few triangles beside creases: their screen points are
+- Bilinear interpolation keeps the map one-to-one except in a few triangles beside creases: their screen points are
   averaged with their neighbours' until none is turned over. It also blurs a little; the steps after it undo that. The
   best state on the even grid is the result.
 """
@@ -148,7 +148,7 @@ class _Run:
         self.rms, self.settled = np.inf, False
 
     def settle(self, state: _Even, *, last: bool) -> _Even:
-        """Step on one grid until it no longer helps; return the best state that was on the even grid."""
+        """Take steps on one grid until they no longer help; return the best state on the even grid."""
         start = state.pair()
         poisson, across = NeumannPoisson(start.lens), neighbours_of(start.triangles)
         shape = state.screen_mm.shape[:2]

@@ -79,7 +79,7 @@ class PaperFlow:
     """The mapping q -> p: screen vertices (x_mm (nx,), y_mm (ny,)), in lens units, to lens_mm (ny, nx, 2).
 
     x_mm and y_mm span the aperture; a screen of another size is the same grid, scaled. `target` (ny, nx) is the
-    intensity C aimed at, floor included. Not converged means: light is misplaced by D, but the map is one-to-one.
+    intended intensity C, floor included. Not converged means: light is misplaced by D, but the map is one-to-one.
     `pair` is the mesh in both planes: that of x_mm, y_mm and lens_mm without remeshing, any other with it.
     """
 

@@ -1,7 +1,7 @@
-"""Local changes to a mesh that lies in two planes at once: edges flipped, vertices removed and put in.
+"""Local changes to a mesh that lies in two planes at once: flips edges, removes and inserts vertices.
 
 The mesh stands for a one-to-one map: vertex i lies at lens[i] and at screen[i], triangles are counter-clockwise in both
-planes, and each operation is done only where that stays so. A triangle's *life* is the time until the vertices'
+planes, and an operation is done only if that remains true. A triangle's *life* is the time until the vertices'
 velocities make it flip (the paper's dt_i). A vertex is removed by merging it into one of its neighbours.
 """
 
@@ -17,7 +17,7 @@ from optics.spline import Array
 Neighbours = NDArray[np.int32]
 
 MOST_AROUND = 64  # triangles round one vertex
-_BETTER = 1.5  # a flip must lengthen the shorter life of the pair by this factor; drawing a vertex away, by 2
+_BETTER = 1.5  # a flip must lengthen the shorter life of the pair by this factor; merging a vertex away, by 2
 _SWEEPS = 20
 
 
@@ -80,7 +80,9 @@ def flip(triangles: Triangles, across: Neighbours, t: int, k: int) -> None:
 def flip_short_lived(
     lens: Array, screen: Array, velocity: Array, triangles: Triangles, across: Neighbours, wanted: float, least: float
 ) -> int:
-    """Flip edges of triangles that live shorter than `wanted` where that helps; `least`: twice the area on screen."""
+    """Flip edges of triangles that live shorter than `wanted` where that helps; `least`: least (doubled) area on
+    screen.
+    """
     count = 0
     for _ in range(_SWEEPS):
         done = 0
@@ -114,7 +116,7 @@ def flip_short_lived(
 
 @njit(cache=True, nogil=True)
 def find_around(triangles: Triangles, across: Neighbours, v: int, t: int, ring: NDArray[np.int32]) -> int:
-    """Fill `ring` with the triangles at vertex v, t being one of them; their number, or -1 where they are too many."""
+    """Fill `ring` with the triangles at vertex v, of which t is one; return their number, -1 if there are too many."""
     count, now = 0, t
     while True:
         ring[count] = now
@@ -139,7 +141,7 @@ def find_around(triangles: Triangles, across: Neighbours, v: int, t: int, ring: 
 def life_without(
     lens: Array, screen: Array, velocity: Array, triangles: Triangles, ring: Neighbours, v: int, w: int, least: float
 ) -> float:
-    """Return the shortest life round v once v is drawn onto its neighbour w; 0 where a triangle would turn over."""
+    """Return the shortest life around v if v were merged into its neighbour w; 0 if a triangle would turn over."""
     shortest = np.inf
     for t in ring:
         row = triangles[t]
@@ -155,7 +157,7 @@ def life_without(
 
 @njit(cache=True, nogil=True)
 def draw_onto(triangles: Triangles, across: Neighbours, ring: Neighbours, v: int, w: int) -> None:
-    """Merge vertex v into w; the triangles that held both are struck out (first corner -1)."""
+    """Merge vertex v into w; the triangles that contained both are marked as removed (first corner -1)."""
     for t in ring:
         k = place_in(triangles[t], v)
         if triangles[t, 0] == w or triangles[t, 1] == w or triangles[t, 2] == w:

@@ -1,10 +1,10 @@
 """First-order Galerkin finite elements on triangles: P1 matrices and Poisson's equation with a natural boundary.
 
 The sparsity pattern depends only on the triangles, so it is built once and filled again whenever the points move. The
-Neumann problem fixes the unknown up to a constant: the mean is taken out of load and solution, and conjugate gradients
-run on what is left, preconditioned by one classical (Ruge-Stueben) multigrid V-cycle built for the matrix at hand. On
-stretched meshes a fresh hierarchy needs 5-20 cycles and costs less to build (0.3 s at 512 x 512) than an old one loses.
-Nothing in it is random: the same mesh and load give the same bits.
+Neumann problem fixes the unknown up to a constant: the mean is removed from load and solution, and conjugate gradients
+solve the rest, preconditioned by one classical (Ruge-Stueben) multigrid V-cycle built for the matrix at hand. On
+stretched meshes a fresh hierarchy needs 5-20 cycles and costs less to build (0.3 s at 512 x 512) than an old one would
+lose. Nothing in it is random: the same mesh and load give the same bits.
 """
 
 from __future__ import annotations

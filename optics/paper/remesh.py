@@ -1,7 +1,7 @@
-"""The paper's simple remeshing (section 5): cut out what would flip soon, and throw darts into the holes.
+"""The paper's simple remeshing (section 5): cut out triangles that would flip soon, and throw darts into the holes.
 
 "... first detecting triangles which admit small dt, then removing the vertices of the triangles, and inserting random
-vertices using dart throwing." A vertex is removed by drawing it onto the neighbour that lets the triangles around live
+vertices using dart throwing." A vertex is removed by merging it into the neighbour that lets the triangles around live
 longest. Edges between short-lived triangles are flipped if that is enough. A dart falls anywhere in the remeshed
 triangles, evenly over the lens, and stays if it is not too near the corners of its triangle in either plane. It takes
 screen point and velocity from the flat triangle in which it falls, so the map stays one-to-one.
@@ -88,7 +88,9 @@ class _Rule(NamedTuple):
 
 
 def _cut_out(columns: Array, triangles: Triangles, rule: _Rule) -> tuple[Array, Triangles, int, NDArray[np.intp]]:
-    """Turn edges and draw vertices away; new columns and triangles, vertices removed, indices of changed triangles."""
+    """Flip edges and remove vertices; return new columns and triangles, removed vertices, indices of changed
+    triangles.
+    """
     lens, screen, velocity = (np.ascontiguousarray(columns[:, k : k + 2]) for k in (0, 2, 4))
     triangles = triangles.copy()
     across = neighbours_of(triangles)
@@ -115,7 +117,7 @@ def _draw_away(
     gone: NDArray[np.bool_],
     touched: NDArray[np.bool_],
 ) -> int:
-    """Return of each triangle that lives shorter than wanted, draw that corner away which lengthens lives most."""
+    """For each triangle that lives shorter than wanted, remove the corner whose removal lengthens lives most."""
     ring = np.empty(MOST_AROUND, dtype=np.int32)
     count = 0
     for t in range(triangles.shape[0]):
@@ -185,7 +187,7 @@ def _throw(
     vertices: int,
     rows: int,
 ) -> int:
-    """Number of darts that stay. columns (n, 6): lens, screen, velocity, room for the darts at the end."""
+    """Return the number of darts that stay. columns (n, 6): lens, screen, velocity, room for the darts at the end."""
     stay, most = 0, columns.shape[0] - vertices
     for d in range(into.size):
         if stay == most:

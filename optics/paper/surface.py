@@ -52,7 +52,7 @@ class SmoothGridMap:
 
         Starts from the bilinear inverse in the quad that holds the point. A Newton step, with the Jacobian of the
         start, counts only where it brings the point nearer and stays within a cell; elsewhere (beside a crease, where
-        the smooth map may fold) the answer before it stands.
+        the smooth map may fold) the last answer is kept.
         """
         u, v = screen_positions(self._moved_mm[..., 0], self._moved_mm[..., 1], at_x_mm, at_y_mm)
         columns, rows = np.arange(self._x_mm.size), np.arange(self._y_mm.size)
@@ -261,7 +261,7 @@ def _refuse_what_the_paper_has_not(bench: Bench) -> None:
 
 
 def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:
-    """Raise TotalReflectionError if light's way out is beyond arccos(1 / n) of the way in, at the shortest drop."""
+    """Raise TotalReflectionError if the light turns by more than arccos(1 / n), at the shortest drop."""
     farthest_mm = float(np.sqrt((shift_mm**2).sum(axis=1)).max())
     shortest_mm = farthest_mm / np.sqrt(refractive_index**2 - 1.0)
     if throw_mm + skim_mm <= shortest_mm:

@@ -60,7 +60,7 @@ def likeness_of(photograph: Photograph, view: View, fit: Fit) -> float:
 
 
 def _alike(photograph: Photograph, view: View, fit: Fit) -> tuple[float, float]:
-    """Return the correlation of all, and of the details."""
+    """Return the correlation of the whole pictures, and of their details."""
     off, model, _, _ = residual_of(photograph, view, fit)
     inner = view.inner
     known = np.isfinite(off[inner])
@@ -80,7 +80,7 @@ def _correlate(a: Array, b: Array) -> float:
 
 
 def smooth(picture: Array) -> Array:
-    """Smooth values, as is done with everything that is compared."""
+    """Smooth values, like everything that is compared."""
     return gaussian_filter(picture, _SMOOTH)
 
 

@@ -116,9 +116,7 @@ def _polynomial(order: int, x: Array) -> Array:
 
 
 def _coarser(lens: Heightfield, most: int) -> Heightfield:
-    """Return the same surface on at most that many cells along a side: quick, and finer than the pixels it is seen
-    in.
-    """
+    """Return the same surface on at most that many cells along a side: quick, and still finer than its pixels."""
     cells = [min(axis.size - 1, most) for axis in (lens.x_mm, lens.y_mm)]
     if cells == [lens.x_mm.size - 1, lens.y_mm.size - 1]:
         return lens

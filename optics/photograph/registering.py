@@ -30,7 +30,7 @@ from optics.spline import Array
 
 _COARSEST, _FINEST = 28, 320  # pixels along the longer side
 _KEPT, _KEPT_FINER = 8, 3
-_STRANGE, _ALIKE = 0.5, 0.75  # likeness of a photograph of another picture at most, and of one of this at least
+_STRANGE, _ALIKE = 0.5, 0.75  # greatest likeness of a photograph of another picture, and least of one of this picture
 _MIRRORED = 0.6  # largest misfit of a mirrored fit, relative to the upright one, for it to be accepted
 _TURNS = 24
 
@@ -44,10 +44,10 @@ class Registration:
     rectified (ny, nx)  : the photograph in the prediction's place and units, work frame; NaN beyond the photograph
     usable (ny, nx)     : where that is light and neither clipped nor beyond the photograph
     gain, offset, tone  : photograph = gain * irradiance^tone + offset
-    blur_px             : standard deviation of the Gaussian, in pixels of the prediction, that the photograph is softer
-                          by; negative: sharper
+    blur_px             : standard deviation of the Gaussian, in pixels of the prediction, by which the photograph is
+                          softer; negative: sharper
     residual            : rms of rectified less the prediction, blurred alike, over the prediction's standard deviation
-    correlation         : of the photograph with what is fitted to it, inside the picture
+    correlation         : of the photograph with the fit, inside the picture
     likeness            : geometric mean of that and of the correlation of the picture's details
     confidence          : 0 to 1: that this is a photograph of the prediction; below 0.5 the rest is not reliable
     overlap             : share of the prediction inside the photograph

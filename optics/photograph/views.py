@@ -1,4 +1,4 @@
-"""A photograph at several sizes, and a predicted picture at one: what is compared with what.
+"""A photograph at several sizes, and a predicted picture at one size, for their comparison.
 
 A picture's own coordinates, x and y below, are those of `homography`.
 """
@@ -16,7 +16,7 @@ from optics.spline import Array
 
 Mask = NDArray[np.bool_]
 
-CLIPPED = 0.95  # of the camera's white: above it, noise and the camera's shoulder hide what was there
+CLIPPED = 0.95  # of the camera's white: above it, noise and the camera's tone curve hide the light
 _RIM = 3.0  # pixels
 MARGIN = 0.12  # of the picture, beyond its rim, where no light is predicted
 
@@ -30,7 +30,7 @@ class Photograph:
 
     @classmethod
     def of(cls, photo: Array) -> Photograph:
-        """Make a photograph from its grid; ValueError for one that is not of finite values with some light."""
+        """Make a photograph from its grid; ValueError if its values are not finite or have no light."""
         light = np.asarray(photo, dtype=np.float64)
         if light.ndim != 2 or min(light.shape) < 8 or not np.isfinite(light).all():
             raise ValueError("a photograph is a grid of at least 8 x 8 finite values")
@@ -77,7 +77,7 @@ class View:
     """The picture at one size with a dark margin, and its pixels' coordinates.
 
     step     : side of a pixel in those coordinates, (down, across)
-    compared : where a photograph is held against it
+    compared : where a photograph is compared with it
     """
 
     picture: Array
@@ -114,7 +114,7 @@ class View:
         return step_fields(self.x, self.y)
 
     def sample(self, photograph: Photograph, homography: Array) -> tuple[Array, Array, Mask]:
-        """Return what `Photograph.sample` finds in its pixels."""
+        """Return the values of `Photograph.sample` in the view's pixels."""
         return photograph.sample(homography, self.x, self.y, self.step)
 
 
@@ -134,7 +134,7 @@ def area_average(picture: Array, shape: tuple[int, int]) -> Array:
 
 
 def pixel_noise(light: Array) -> float:
-    """Return the noise from second differences along rows, which follow what is smooth (median: edges do not count)."""
+    """Return the noise from second differences along rows, which cancel smooth light (median: edges do not count)."""
     second = light[:, 2:] - 2 * light[:, 1:-1] + light[:, :-2]
     return 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0)
 

@@ -76,7 +76,7 @@ class WallFit:
     """Deviations from the prediction; all zero: as predicted.
 
     throw_mm          : distance of the wall beyond that for which the lens was made
-    wall_tilt_rad     : by which the wall leans away towards +x and towards +y
+    wall_tilt_rad     : angles by which the wall leans away towards +x and towards +y
     light_tilt_rad    : tilt of the light towards +x and +y
     surface_um        : for each of ORDERS, height of the surface over the lens, as the Legendre polynomial's factor
     blur_mm           : standard deviation on the wall by which the photograph is softer than predicted; < 0: sharper
@@ -220,7 +220,7 @@ class _Scene:
         return np.concatenate([own, is_open * _odd_blurs(view, fit), np.stack(shades + settings)])
 
     def correlation(self, state: _State) -> float:
-        """Return the correlation of the photograph with the model over what counts inside the picture."""
+        """Return the correlation of the photograph with the model over the pixels that count inside the picture."""
         off, model, _, counts = self.residual(state, self.make_view(state))
         chosen = np.zeros(counts.shape, dtype=bool)
         chosen[self.view.inner] = counts[self.view.inner] > 0

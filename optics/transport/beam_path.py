@@ -53,7 +53,7 @@ def trace_back(
 def _ray_from_point(
     beam: Beam, qx: float, qy: float, throw: float, c: float, sx: float, sy: float, sz: float, guess: float
 ) -> float:
-    """Return R of phase(X) + R = c: convex in R, so that Newton's method overshoots once at most."""
+    """Return R of phase(X) + R = c: convex in R, so Newton's method overshoots at most once."""
     ray = throw / sz if math.isnan(guess) else guess
     for _ in range(_NEWTON_STEPS):
         dx, dy, dz, phase, _, _ = meet(beam, qx - ray * sx, qy - ray * sy, throw - ray * sz)

@@ -7,8 +7,10 @@ each.
               is a solution (with x unbounded, as the near field's curl makes it negative, some corners' folds are).
     step      InvLaplace(r / w): the linearised operator is div(cof(Dp) grad), about w = (|a| + |b|) / 2 times the
               Laplacian. The division makes the number of steps nearly independent of contrast and of grid; w is
-              evened (w + 1) / 2, because where it is all but 0 (black) the cofactor is not a multiple of the identity.
-The step is a cosine transform (Neumann), in single precision where that is enough: it leads the way, r decides.
+              smoothed to (w + 1) / 2, because where it is nearly 0 (black) the cofactor is not a multiple of the
+              identity.
+The step is a cosine transform (Neumann), in single precision where that is enough: the step only guides the iteration,
+r decides.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Preimages:
                     pixel's is about 1; across and along are positive where the map goes the branch's way
     light         : strength of the light on each pre-image, scaled so that light * area has mean 1; (1, 1) if even
     sign          : 1 if an increase of Laplace(c) reduces the area, -1 on the inverted branch
-    reach_mm      : (x, y) how far the pre-image goes for a change of slope, about the screen's centre
+    reach_mm      : (x, y) how far the pre-image moves for a change of slope, near the screen's centre
     path_per_height : change of c when the whole surface rises by 1
     """
 

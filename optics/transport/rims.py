@@ -20,7 +20,7 @@ from optics.transport.beam_path import fill_heights, trace_back
 
 _NEWTON_STEPS = 40
 _CLOSE_ENOUGH_MM = 1e-10
-_MOST_LEAN = 0.35  # of the aperture: how far from the base the rim is looked for; an early map may not reach an outline
+_MOST_LEAN = 0.35  # of the aperture: how far from the base the rim is searched; an early map may not reach an outline
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,8 @@ def _solve_side(
     beam: Beam, throw: float, upright: bool, q_across: float, q_along: Array, edge: Array, half: float,
     tangential: Array, curve: Array, cells_per_mm: float, most: float, slope: Array, points: Array,
 ) -> None:  # fmt: skip
-    """Solve slopes (m,) across one side of the frame and what they lead back to (m, 7); slope holds the first guess.
+    """Solve slopes (m,) across one side of the frame, and the points (m, 7) that they lead back to; slope holds the
+    first guess.
 
     upright : whether this is a left or right side;  half : signed way from the pixels' middles to the frame
     Newton's method: with S = (s, t, s_z), X = Q - R S and c = edge + half s,

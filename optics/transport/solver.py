@@ -43,7 +43,7 @@ _FARTHEST = 1e6  # largest throw tried, in screens
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelRecord:
-    """How one grid level went: pixels across, iterations, and of the best iterate the misses.
+    """The record of one grid level: pixels across, iterations, and the errors of the best iterate.
 
     rms    : of det - g, over the rms of g
     turned : share of the light on pixels whose pre-image has turned over (a fold)
@@ -57,7 +57,7 @@ class LevelRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpticalPath:
-    """The solution on the screen's pixels, from which a warm start begins and lens heights are computed."""
+    """The solution on the screen's pixels, the basis of warm starts and of lens heights."""
 
     bench: Bench
     path_mm: Array  # (ny, nx)
@@ -98,10 +98,10 @@ def solve_transport(
     skim_mm     : depth of the lens's highest point under Z0
     start       : an earlier solution on the same grid, for a warm start without the coarse levels
     tolerance   : rms of det - g over that of g, with folds and the skim's share, at which a level is done
-    returns converged = False, with its history, where the finest level stopped early; of a picture that folds, the
-    first of its softer versions that does not (of a warm start that does, the start)
-    raises TotalReflectionError if the throw is too short for the way the light must go, NoSurfaceError if no
-    iterate sent all light to the screen for another reason
+    returns converged = False, with its history, where the finest level stopped early; for a picture that folds, the
+    first of its softer versions that does not (for a warm start that folds, the start) raises TotalReflectionError if
+    the throw is too short for the way the light must go, NoSurfaceError if no iterate sent all light to the screen for
+    another reason
     """
     g = target / target.mean()
     report = on_progress or (lambda share: None)

@@ -1,4 +1,4 @@
-"""The picture of a grid of heights, and its gradient by each height: polish descends along it.
+"""The picture of a grid of heights, and its gradient with respect to each height, along which polish descends.
 
 Theory of the gradient: the transpose of the derivative of a lens's picture (spread.py) by its heights. Of a picture
 error r(pixel) = dE/dI, a tube with light f, area A on the screen and W = its integral of r contributes f W / A to dE.
@@ -7,7 +7,8 @@ so a tube within one pixel has no effect. W also comes from Green's formula: the
 where R is r summed from the left.
 
 The light of a tube is kept as it was for the first lens: even collimated light makes it the same for all tubes anyway,
-and if it does depend on the heights, the changes by polish move it by less than a percent of what refraction does.
+and if it does depend on the heights, the changes by polish affect it by less than a percent of the effect of
+refraction.
 """
 
 from __future__ import annotations

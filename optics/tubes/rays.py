@@ -1,8 +1,6 @@
-"""Converts gains by rays into gains by heights: the transpose of lattice.py.
-
-The gain by moving the lit points of the screen becomes the gain by moving the spline's coefficients, through Snell's
-law (or the mirror's), the spline's basis and, in `fit_transposed`, the fit of coefficients to heights. All of it is
-exact.
+"""Converts gradients with respect to rays into gradients with respect to heights: the transpose of lattice.py. The
+gradient by moves of the lit points on the screen becomes the gradient by the spline's coefficients, through Snell's law
+(or the mirror's), the spline's basis and, in `fit_transposed`, the fit of coefficients to heights. All of it is exact.
 """
 
 from __future__ import annotations

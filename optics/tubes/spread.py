@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from optics.spline import Array
 from optics.tubes.edges import add_edge, add_point
 
-POINT_AREA = 1e-10  # a tube focused on less than this [pixels] falls on one point
+POINT_AREA = 1e-10  # a tube focused on less than this [pixels] counts as one point
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -59,9 +59,7 @@ def _fill_odd_triangles(below: Array, above: Array, light: Array, density: Array
 
 @njit(cache=True, nogil=True)
 def fill_pixels(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: Array) -> None:
-    """Compute pixel (columns + 1,): where in the flat acc the pixel is that a ray hits, -1: none; corner (2, ..): x,
-    y.
-    """
+    """Compute pixel (columns + 1,): index in flat acc of the pixel that a ray hits, -1: none; corner (2, ..): x, y."""
     for c in range(pixel.size):
         x, y = hit[0, c], hit[1, c]
         pixel[c] = -1
@@ -73,7 +71,9 @@ def fill_pixels(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: 
 
 @njit(cache=True, nogil=True, inline="always")
 def _put(flat: Array, pixel: int, weight: float, share: float) -> None:
-    """Add an edge's piece within a pixel: signed density x rise; share of it that the right neighbour takes on."""
+    """Add an edge's piece within a pixel: signed density x rise, and the share of it that goes to the right
+    neighbour.
+    """
     flat[pixel] += weight - weight * share
     flat[pixel + 1] += weight * share
 

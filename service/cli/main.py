@@ -56,7 +56,7 @@ def run(arguments: Sequence[str]) -> int:
         except KeyboardInterrupt:
             interrupted = True
         signals.over = True  # from here on nothing is raised, so that the last message is complete
-        if isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
+        if isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED:  # its message says what is left
             return _report_error(error)
         if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.received):
             # even if an import or a library changed the error; typer also catches Ctrl-C itself, silently
@@ -73,8 +73,8 @@ def _run_command(arguments: Sequence[str]) -> int:
 
 
 def _report_error(error: Exception) -> int:
-    """Return what ended a command as a line on stderr, and its exit code. An error of the program itself is raised
-    again.
+    """Return the error that ended a command as a line for stderr, and the exit code. An error of the program itself is
+    raised again.
     """
     match error:
         case ServiceError():

@@ -91,7 +91,7 @@ def _suggest_changes(job: ResolvedJob, picture: Path) -> Iterator[str]:
 
 
 def _prepare_plan(request: PlanRequest) -> tuple[ResolvedJob, Callable[[], Planned]]:
-    """Return the job, and what plans it."""
+    """Return the job, and the function that plans it."""
     if request.source.is_dir():
         base: dict[str, Any] = {**load_stored_spec(request.source).plain(), "preset": "recommended"}
         base.pop("passes", None)

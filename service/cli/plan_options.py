@@ -75,7 +75,7 @@ def list_tools(
 def list_spec_keys(
     word: Annotated[str, typer.Argument(metavar="[WORD]", help="Only keys in which this occurs.")] = "",
 ) -> None:
-    """List every key of a job with what it may be, its default and its meaning."""
+    """List every key of a job with its allowed values, its default and its meaning."""
     from service.errors import InputError
     from service.job.spec.keys import list_keys
     from service.wording import align

@@ -51,7 +51,7 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what the wall will show: as milled, and as finished if the job has a finish."""
+    """Yield the light on the wall: as milled, and as finished if the job has a finish."""
     for key, words in (("as_milled", "as milled"), ("as_finished", "as finished")):
         if (seen := report.get(key) or {}).get("psnr_db") is not None:
             detail_mm = seen.get("smallest_detail_mm")

@@ -44,8 +44,8 @@ class RemoteFile:
 
     @classmethod
     def of(cls, item: dict[str, Any]) -> RemoteFile:
-        """Make it from the server's answer. FailedError for a name no file of ours has: it chooses no place to
-        write.
+        """Make it from the server's answer. FailedError for a name that no file of ours has, so that a server cannot
+        choose a place to write.
         """
         try:
             file = cls(str(item["name"]), str(item["sha256"]), int(item["bytes"]), str(item["url"]))

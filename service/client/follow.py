@@ -99,7 +99,7 @@ def _object(text: str) -> dict[str, Any] | None:
 
 
 class LeftError(ServiceError):
-    """Ctrl-C: this command ends, what it watched goes on."""
+    """Ctrl-C: this command ends; the job or run that it watched goes on."""
 
     exit_code = EXIT_INTERRUPTED
 

@@ -133,7 +133,7 @@ class ServerClient:
             headers=headers,
             timeout=httpx.Timeout(_READ_S, connect=_CONNECT_S),
             verify=target.url.startswith("https:"),  # loading certificates takes longer than an answer
-            trust_env=not is_loopback(httpx.URL(target.url).host),  # no proxy stands before this computer
+            trust_env=not is_loopback(httpx.URL(target.url).host),  # requests to this computer bypass proxies
         )
 
     def __enter__(self) -> Self:
@@ -260,7 +260,7 @@ class ServerClient:
         return lines
 
     def _explain_mismatch(self, answer: httpx.Response) -> str:
-        """Explain which server gives such an answer."""
+        """Explain what kind of server gives such an answer."""
         version = answer.headers.get(VERSION_HEADER)
         if version is None:
             return f"{self.url} answers (HTTP {answer.status_code}), but is not a causticmill job server"

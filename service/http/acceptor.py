@@ -1,8 +1,8 @@
 """Accepts connections and sets them up; those whose first bytes name a stop come first.
 
-Theory of operation. It takes half a millisecond to set a connection up, and a fiftieth of that to accept it. So the
-acceptor accepts all connections, and waits for their first bytes at no further cost. In each turn of the event loop it
-sets up every stop and a few of the others: a crowd of three thousand delays a stop by less than a tenth of a second.
+Theory of operation. Setting up a connection takes half a millisecond, accepting it a fiftieth of that. So the acceptor
+accepts all connections, and waits for their first bytes at no further cost. In each turn of the event loop it sets up
+every stop and a few of the others: a crowd of three thousand delays a stop by less than a tenth of a second.
 """
 
 from __future__ import annotations

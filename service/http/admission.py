@@ -47,7 +47,7 @@ class Admission:
 
     @property
     def is_full(self) -> bool:
-        """Return whether there are too many connections and none may be closed to make room."""
+        """Return whether there are too many connections and none of them may be closed to make room."""
         return len(self._places) > self.most
 
     @property
@@ -95,7 +95,7 @@ class Place:
         self._timer: asyncio.TimerHandle | None = None
         self.is_known = False  # its caller has shown a token
         self.is_stop = False  # it has an unanswered stop
-        self.is_awaited = False  # its caller has still to send something
+        self.is_awaited = False  # its caller still has to send something
 
     def await_request(self) -> None:
         """Start waiting for a request, for a fixed time."""

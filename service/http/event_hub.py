@@ -1,7 +1,7 @@
 """Server-sent events: their format, and their delivery to any number of readers, none of which can hold up the
 publisher or another reader.
 
-Theory of operation: an answer is held open for events, and closed when the other side is gone or stops reading. Every
+Theory of operation: a response stays open for events, and is closed when the other side is gone or stops reading. Every
 reader has its own bounded queue. A reader whose queue is full is ended: it is sent the contents of its queue, in order
 and without a gap, and then the end, so that its client comes back with Last-Event-ID and continues where it was. Only
 the latest status counts, so a slow reader skips some. A hub with a ring gives its messages ids `<life>-<number>`, with
@@ -86,7 +86,7 @@ _STATUS = "status"
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """data: JSON in one line; id: what a reader comes back with, empty for one that is not repeated."""
+    """data: JSON in one line; id: sent back by a reader that reconnects, empty for an event that is not repeated."""
 
     kind: str
     data: str

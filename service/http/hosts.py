@@ -28,7 +28,7 @@ def is_loopback(host: str) -> bool:
 
 
 def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> None:
-    """Raise InputError if others could read the traffic with an address, unless a person vouches that they cannot.
+    """Raise InputError if others could read the traffic with an address, unless a person states that they cannot.
 
     vouched : a person states that there is TLS, or nobody else on the network; allowed: how to arrange that
     """
@@ -67,7 +67,8 @@ def bind_address(host: str, port: int, *, option: str = "--port", backlog: int =
     """Bind an address; InputError if that is impossible.
 
     option  : which one sets the port
-    backlog : listen at once, for so many callers; 0: not yet, and another process may still bind the address
+    backlog : listen at once, with a queue of this length; 0: do not listen yet, and another process may still bind the
+              address
     """
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]

@@ -1,5 +1,5 @@
 """Types for the models of requests and answers. Our own code makes the contents of an answer, so the OpenAPI document
-describes words, hashes and times but answers are not validated against it again: a value that another version wrote is
+describes words, hashes and times, but answers are not validated against it: a value that another version wrote is
 passed on, not refused.
 """
 
@@ -34,7 +34,7 @@ def one_of(words: Iterable[str]) -> Any:
 
 
 class PhraseView(Body):
-    """How a sentence was made: its template, and its values by name, which may be phrases too."""
+    """The parts of a sentence: its template, and its values by name, which may be phrases too."""
 
     template: str
     values: dict[str, str | PhraseView]

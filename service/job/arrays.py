@@ -24,7 +24,7 @@ def heightfield_bytes(heightfield: Heightfield) -> bytes:
 
 
 def load_heightfield(path: Path) -> Heightfield:
-    """Load a heightfield from its .npz; InputError if the file is none."""
+    """Load a heightfield from its .npz; InputError if the file is not one."""
     arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
     rim_mm = float(arrays.pop("rim_mm", np.zeros(())))
     try:
@@ -88,7 +88,7 @@ def load_target(path: Path) -> Array:
 
 
 def load_original(path: Path) -> Array | None:
-    """Load the picture as given from a map.npz whose target is a prepared one; None if the target is that."""
+    """Load the given picture from a map.npz whose target is a prepared one; None if the given picture is the target."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             if "original" not in stored:
@@ -105,7 +105,7 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
 
 
 def load_arrays(path: Path | BinaryIO, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
-    """Load those arrays of an .npz file; InputError if one is missing, or the file is none."""
+    """Load those arrays of an .npz file; InputError if one is missing, or the file is not an .npz."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             there = (*names, *(name for name in optional if name in stored))

@@ -143,7 +143,7 @@ def _make_unreadable_verdict(path: Path, faults: Sequence[str]) -> Verdict:
 def _read_job_tasks(
     programs: Sequence[Path], folder: Path, job: ResolvedJob
 ) -> tuple[list[Task], Stock, MachineProfile]:
-    """Return passes by file name from the job's report and spec; passes before the last one asked for are run, too, and
+    """Return passes by file name from the job's report and spec; passes before the last requested one are run, too, and
     all parts of a pass.
     """
     spec, report = job.spec, job_files.read_report(folder)
@@ -151,7 +151,7 @@ def _read_job_tasks(
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
     whole = str(job_files.table(report.get("one_program")).get("file"))
-    if any(path.name == whole for path in programs):  # it is the others, one after the other
+    if any(path.name == whole for path in programs):  # it holds the others, one after the other
         require_same_moves(folder / whole, [folder / name for names in files for name in names], job.machine)
         of_file[whole] = len(files) - 1
     for path in programs:

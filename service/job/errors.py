@@ -50,7 +50,7 @@ class ReliefTooDeep(SolidError):
 
 
 class LensKeptError(ServiceError):
-    """A stage refused programs, and the folder holds the lens without them. reason: for the lens's own report."""
+    """A stage refused programs, and the folder contains the lens without them. reason: for the lens's own report."""
 
     def __init__(self, error: ServiceError, stage: str, folder: Path) -> None:
         number = stage.removeprefix("pass-")

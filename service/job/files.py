@@ -43,9 +43,9 @@ FACE, WITNESS, CUT_OUT = "face", "witness", "cut-out"
 AFTER_PASSES = (WITNESS, CUT_OUT)
 TOOLPATH, PLAN, ENVELOPE = "toolpath.png", "plan.png", "envelope.png"
 SURFACE = "surface.bin"
-THUMBNAIL = "thumbnail.png"  # of the target, as long as there is none of what the wall will show
+THUMBNAIL = "thumbnail.png"  # of the target, until there is a picture of the finished wall
 THUMBNAIL_AS_MILLED, THUMBNAIL_AS_FINISHED = "thumbnail-as-milled.png", "thumbnail-as-finished.png"
-THUMBNAILS = (THUMBNAIL_AS_FINISHED, THUMBNAIL_AS_MILLED, THUMBNAIL)  # the first that there is stands for the job
+THUMBNAILS = (THUMBNAIL_AS_FINISHED, THUMBNAIL_AS_MILLED, THUMBNAIL)  # the first existing one represents the job
 LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED = "light.bin", "light-as-milled.bin", "light-as-finished.bin"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 ONE_PROGRAM = "all-passes"  # the name, without the dialect's suffix, of all programs in one
@@ -103,7 +103,7 @@ def path_name(number: int) -> str:
 
 
 def page_in(language: str) -> str:
-    """Return the file that is the setup sheet in another language, for the operator page to link to."""
+    """Return the name of the setup sheet in another language, for links on the operator page."""
     return f"report-{language}.html"
 
 
@@ -113,7 +113,7 @@ def files_of_pass(row: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def names_of_pass(row: Mapping[str, Any]) -> list[str]:
-    """Return the names alone."""
+    """Return the names of the programs of one row of report `passes`."""
     return [part["file"] for part in row.get("parts") or [row]]
 
 
@@ -129,7 +129,7 @@ def is_one_program(name: str) -> bool:
 def program_order(name: str) -> tuple[int, int, str]:
     """Return the key that sorts programs into the order in which they are run."""
     pass_number, _, rest = name.removeprefix("pass-").partition("-")
-    return int(pass_number), len(rest), rest  # a hundredth part has one more digit
+    return int(pass_number), len(rest), rest  # part numbers above 99 have three digits
 
 
 def is_drawing(name: str) -> bool:
@@ -212,7 +212,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:
-    """Stream a program to disk, counting and hashing as it goes. The name appears only when the program is whole."""
+    """Stream a program to disk, counting and hashing it. The file gets its name only when the program is complete."""
     digest, lines, size = hashlib.sha256(), 0, 0
     with atomic_file(path) as file:
         for chunk in chunks:
@@ -258,7 +258,7 @@ def _is_report(report: object) -> bool:
 def stage_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
     """Open a hidden folder to work in, put in place of `output` when the block ends well.
 
-    keep : names of files of `output` that the job goes on from; they appear in the hidden folder (as links).
+    keep : names of files of `output` that the job builds on; they appear in the hidden folder (as links).
     The earlier job's other files disappear when the new ones are put in place; foreign files stay. While one process
     works on an output, a second one is refused: their lens and programs would mix.
     """

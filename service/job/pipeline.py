@@ -60,8 +60,8 @@ class FolderJob:
             del self.desk[name]
 
     def keep_lens(self, lens: JobSoFar, error: LensKeptError) -> None:
-        """Go back to the job as it was with its lens: no program is left, not even one that passed its check, because
-        the mill's rules have not been applied to them all.
+        """Return the job to its state with the lens only: no program is left, not even one that passed its check,
+        because the mill's rules have not been applied to all of them.
         """
         self.work(lambda context: context.picture_queue.finish())
         for path in self.folder.iterdir():

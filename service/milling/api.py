@@ -1,7 +1,7 @@
-"""What the agent of a mill takes and answers: orders, words for a start, and what it says of runs.
+"""Requests and answers of a mill's agent: orders, confirmations of a start, and views of runs.
 
-The agent and its callers go by the same models. An order beside a run is validated by the agent, once: the job server
-passes it on as it came. The ranges are those of machines.driver.
+The agent and its callers use the same models. Only the agent validates an order outside a run: the job server passes it
+on unchanged. The ranges are those of machines.driver.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from service.http.problems import Problem
 from service.http.schema import Body, Phrases
 
 Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
-Code = Annotated[str, Field(description="the same as `words`, for programs; empty: the words are all there is")]
+Code = Annotated[str, Field(description="the same as `words`, for programs; empty: there are only the words")]
 Values = Annotated[dict[str, Any], Field(description="what the words name, by `code`")]
 
-_LATEST_S = 4e9  # year 2096: what is later is no time
+_LATEST_S = 4e9  # year 2096: later values are not times
 _PERSON = r"^[^\W_][\w .,'@-]*$"  # a count of such classes of Unicode would take megabytes in each model
 Person = Annotated[
     str,
@@ -66,7 +66,7 @@ _Mm = Annotated[float, _within(JOG_MM)]
 LiftMm = Annotated[
     float | None,
     _within(
-        LIFT_MM, description="a dry pass: the whole program so much higher, spindle and coolant off; it cuts nothing"
+        LIFT_MM, description="a dry pass: the whole program raised by this, spindle and coolant off; it cuts nothing"
     ),
 ]
 
@@ -85,7 +85,7 @@ class GrantBody(Body):
 
 class GrantView(Body):
     grant: Annotated[str, Field(description="to be sent as Causticmill-Grant with one order, at once")]
-    valid_s: Annotated[float, Field(description="the agent carries nothing out under it later than that")]
+    valid_s: Annotated[float, Field(description="the agent carries out nothing under it after that")]
     stops: Annotated[int, Field(description="how often this mill was stopped since its agent was started")]
 
 
@@ -107,7 +107,7 @@ class FetchBody(Body):
 
 class ParkBody(Body):
     """A run of a program that the agent has. key: the second request with the same one makes no second run; lift_mm: a
-    dry pass of it, so much higher with the spindle off.
+    dry pass of it, raised by this with the spindle off.
     """
 
     program: Annotated[str, Field(max_length=500)]
@@ -117,7 +117,7 @@ class ParkBody(Body):
 
 
 class ConfirmationBody(Body):
-    """A person's word, by name, that these things were looked at at the mill."""
+    """A person's statement, by name, that these things were checked at the mill."""
 
     operator: Annotated[str, Field(min_length=1, max_length=100, pattern=r"\S", examples=["Ada"])]
     checks: Annotated[
@@ -157,7 +157,7 @@ class PastOrders(Body):
 
 
 class RecoveryView(Body):
-    """How an interrupted run would go on: what has to be done first, and what would be sent."""
+    """How an interrupted run would go on: the needs that must be met first, and the lines that would be sent."""
 
     run: str
     executed_line: int
@@ -165,7 +165,7 @@ class RecoveryView(Body):
     overlap_line: int
     recut_lines: int
     position_mm: list[float] | None
-    plan: Annotated[str, Field(description="to be said with :recover: the person's word is for this plan")]
+    plan: Annotated[str, Field(description="to be sent with :recover: the person's confirmation is for this plan")]
     blocks: list[str]
     ready: bool
     refusals: list[str]
@@ -182,7 +182,7 @@ _Lines = Annotated[int, Field(ge=0, le=10**12, strict=True)]
 
 
 class RunReply(Body):
-    """What an agent says of a run (machines.runs.RunReport), as far as others rely on it."""
+    """An agent's report on a run (machines.runs.RunReport), as far as others rely on it."""
 
     share: Annotated[float, Field(ge=0, le=1, strict=True)] = 0.0
     executed_line: _Lines = 0
@@ -205,10 +205,10 @@ class RunReply(Body):
 
 
 class OrderBody(Body):
-    """An order beside a run."""
+    """An order outside a run."""
 
     def command(self) -> Command:
-        """Return it as the mill takes it. Problem 422 if its values do not go together."""
+        """Return the mill's command. Problem 422 if its values do not go together."""
         raise NotImplementedError
 
     def make_act(self) -> Callable[[Mill], None]:
@@ -262,7 +262,7 @@ class ProbeCornerBody(OrderBody):
     """A plate on the block's front left corner is touched from above, from the left and from the front; then the work
     zero of X, Y and Z is set at once. The tool begins and ends over the plate, near the corner."""
 
-    depth_mm: Annotated[float, _within(PROBE_DEPTH_MM, description="down to the plate, at most", examples=[20.0])]
+    depth_mm: Annotated[float, _within(PROBE_DEPTH_MM, description="greatest way down to the plate", examples=[20.0])]
     plate_mm: Annotated[float, _within(CORNER_PLATE_MM, description="of the plate, on the block", examples=[10.0])]
     wall_x_mm: Annotated[
         float,
@@ -276,7 +276,7 @@ class ProbeCornerBody(OrderBody):
     ]
     margin_mm: Annotated[
         float,
-        _within(MARGIN_MM, description="X0 Y0 lies so far inside the block's left and front edges", examples=[8.0]),
+        _within(MARGIN_MM, description="distance of X0 Y0 inside the block's left and front edges", examples=[8.0]),
     ]
     feed_mm_per_min: Annotated[float, _within(PROBE_FEED, description="each touch is repeated slowly")] = 100.0
     aside_mm: Annotated[

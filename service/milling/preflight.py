@@ -59,8 +59,8 @@ def run_preflight(
 ) -> Preflight:
     """Return the facts about the program at `path` before it may run on this mill.
 
-    settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
-               what the program would leave of the travel at the present work zero (never kept: a zero moves)
+    settings : the controller's own figures take the place of the profile's; where it reports its offsets, warnings say
+               how the program would exceed the travel at the present work zero (never kept: a zero moves)
     dry_pass : the program is one of `write_dry_pass`
     ProgramRefusedError names line, text and way out; PreflightError if the file cannot be read at all.
     """
@@ -105,7 +105,7 @@ def _compute(
 
 
 def write_dry_pass(path: Path, profile: MachineProfile, lift_mm: float, target: Path) -> None:
-    """Write the program so much higher, with spindle and coolant off. Errors as of `run_preflight`."""
+    """Write the program raised by `lift_mm`, with spindle and coolant off. Errors as of `run_preflight`."""
     require_liftable(profile.dialect)
     _ask_child(path, {"lift_mm": lift_mm, "result": str(target)})
 

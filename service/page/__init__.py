@@ -1,1 +1,1 @@
-"""The operator page: plain HTML, CSS and ES modules, served as they lie here (`files.py`)."""
+"""The operator page: plain HTML, CSS and ES modules, served unchanged (`files.py`)."""

@@ -43,7 +43,7 @@ class PageFile:
 class PageFiles:
     """Files of one folder. A file that is changed on disk is read again, so a developer only has to reload the page.
 
-    made : by path, the name that a module exports and what gives its value, as JSON
+    made : by path, the name that a module exports and the function that returns its value, as JSON
     """
 
     def __init__(

@@ -39,11 +39,11 @@ class ChildDied(ChildError):
 
 
 class ChildCrashed(ChildError):
-    """Its work ended with an error that no person can correct; the words name it."""
+    """The child's work ended with an error that the caller cannot correct; the message names it."""
 
 
 class ChildLate(ChildError):
-    """It did not answer in time."""
+    """The child did not answer in time."""
 
 
 def result_of(word: dict[str, Any]) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def result_of(word: dict[str, Any]) -> dict[str, Any]:
 
 
 class Words:
-    """Reads a child's messages as they come. Anything else is skipped; nothing grows without bound.
+    """Reads a child's messages as they arrive. Anything else is skipped; nothing grows without bound.
 
     is_open : the child may still send something; last: its last message, {} before that
     """
@@ -127,7 +127,7 @@ class Words:
 class Child:
     """A process that runs `module`, whose `main` is `answer_requests`, and leads its own group.
 
-    It dies with the *thread* that started it, so that thread must live as long. Other threads may only call `kill`.
+    It dies with the *thread* that started it, so that thread must outlive it. Other threads may only call `kill`.
     """
 
     def __init__(self, module: str) -> None:

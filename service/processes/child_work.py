@@ -1,8 +1,9 @@
 """The inside of every child process: its limits, the requests that it reads, and the messages with which it answers.
 
-Words are JSON lines: {"ready": true} first where it is to answer several requests; for each of them {"share": 0.5} any
-number of times, then one of {"result": {...}}, {"refused": [lines], "kind" or "problems", "use"} for what people can
-mend, {"failed": [lines]}, {"crashed": text} for all else; beside texts their "phrases". `child` reads them.
+Messages are JSON lines: first {"ready": true}, if the process answers several requests; for each request {"share": 0.5}
+any number of times, then one of {"result": {...}}, {"refused": [lines], "kind" or "problems", "use"} for faults that
+people can mend, {"failed": [lines]}, or {"crashed": text} for all others; beside texts their "phrases". `child` reads
+them.
 
 A stage's process, which the fork server forks, answers one request on its own pipe in the same format, and watches the
 worker's heartbeats; everything printed goes to the stage's log.
@@ -51,7 +52,7 @@ def answer_requests(
 ) -> None:
     """Answer one request after the other until the input ends. argv: the process to die with.
 
-    beside_bytes, bytes_per_pixel : address space beyond what it starts with: always, and by `max_pixels` of the
+    beside_bytes, bytes_per_pixel : address space in addition to that at its start: always, and by `max_pixels` of the
                                     request; without them it has no limit
     barred                        : resources that it may not use at all
     """
@@ -77,7 +78,7 @@ def answer_requests(
 def word_of(work: Callable[[], dict[str, Any]], *, no_memory: Phrase | None = None) -> dict[str, Any]:
     """Return the final message about some work: its result, or its error.
 
-    no_memory : makes the message for too little memory; None: that has no message of its own
+    no_memory : makes the message for too little memory; None: there is no special message
     """
     try:
         word = {"result": work()}
@@ -193,7 +194,7 @@ def _set_up_stage_process(given: ChildOrder) -> None:
     os.setsid()  # a group of its own: one signal reaches everything that the stage starts
     signal.set_wakeup_fd(-1)
     for kind in (signal.SIGTERM, signal.SIGCHLD, signal.SIGINT, signal.SIGHUP):
-        signal.signal(kind, signal.SIG_DFL)  # the plain end of a process needs no interpreter to be reached
+        signal.signal(kind, signal.SIG_DFL)  # with the default action the process ends without needing the interpreter
     die_with_parent(given.parent)
     name_process("cm-stage")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)

@@ -1,6 +1,5 @@
 """The files of this program: they appear complete or not at all, and only its own account can read them (folders 0700,
-files 0600, under any umask). Also the lock by which only one server uses a data folder; it ends with its holder in
-every case.
+files 0600, under any umask). Also the lock that lets only one server use a data folder; it always ends with its holder.
 
 Only the standard library: the supervisor and the command line use it before anything else is imported.
 """
@@ -62,10 +61,10 @@ def keep_private(folder: Path) -> Path:
 
 
 def make_private(folder: Path, *, holding: Sequence[str] = ()) -> None:
-    """Make a folder if necessary and make it private; if it was open until now, with all its contents. OSError.
+    """Make a folder if necessary and make it private, with all its contents if others could read it until now. OSError.
 
     No one else can reach the contents of a private folder, so one that is already private is not searched.
-    holding : files of which one must be in a folder that a person has named, unless it is empty: a home, or the whole
+    holding : a folder that a person has named must contain one of these files or be empty: a home, or the whole
               computer, is not ours to close
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -79,7 +78,7 @@ def make_private(folder: Path, *, holding: Sequence[str] = ()) -> None:
     try:
         folder.chmod(0o700)
     except PermissionError:
-        # another number than EPERM, whose words would be the system's own
+        # another number than EPERM, for which the system's own message would be shown
         words = "others may enter it, and it is not ours to close; say `chmod 700` as its owner, or give a folder in it"
         raise OSError(errno.EOPNOTSUPP, words, str(folder)) from None
     for below, folders, files in os.walk(folder):

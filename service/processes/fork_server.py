@@ -39,7 +39,7 @@ from service.processes.linux import (
 )
 
 MESSAGE_BYTES = 65536
-FILES = 3  # that come with an order: the order itself, the pipe of messages, the log
+FILES = 3  # descriptors that come with an order: the order itself, the pipe of messages, the log
 _REAP_S = 0.01
 _ENDING_S = 2.0  # a process in a disk access may take longer: the kernel ends it later
 
@@ -165,7 +165,7 @@ class _Loop:
             parent=self._pid, entry=self._entry, memory_mb=message["memory_mb"], silence_s=silence_s,
             order=files[0], words=files[1], log=files[2], beats=beats,
         )  # fmt: skip
-        begun = time.monotonic()  # before the child counts: it must not end itself first and seem to have crashed
+        begun = time.monotonic()  # before the child itself counts: it must not end first and look like a crash
         try:
             pid = os.fork()
         except OSError as error:

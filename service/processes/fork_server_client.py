@@ -215,7 +215,7 @@ class ForkServerLink:
     """Uses the running fork server, or starts a new one. Any thread may call.
 
     entry     : `module:function` that its children run
-    memory_mb : that each of them may take
+    memory_mb : that each child may take
     """
 
     def __init__(self, environment: Mapping[str, str], entry: str, *, memory_mb: int) -> None:

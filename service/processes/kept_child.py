@@ -29,7 +29,7 @@ class ChildClosed(ChildError):
 
 
 class TooManyWaiting(ChildError):
-    """Too many requests are waiting to accept another one."""
+    """Too many requests are waiting; another one is not accepted."""
 
 
 class Superseded(ChildError):
@@ -54,7 +54,7 @@ class KeptChild:
     module       : of the process
     answer_s     : after which an answer is late
     long_s       : the same of long requests, and of the first one
-    start_s      : after which the process counts as one that does not start
+    start_s      : after which the start of the process counts as failed
     idle_s       : after which an unused process is ended; None: never
     most_waiting : requests; None: any number
     explain      : makes the error that callers get in place of a ChildError

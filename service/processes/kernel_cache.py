@@ -3,8 +3,8 @@
 `kernel_locator.py` names them: numba's file cache notices a change in a kernel's own file, but not in a kernel of
 another file that it calls, and on a mill an outdated kernel means a wrong cut.
 
-Linear algebra libraries add up in another order when they use another number of threads, so that the same job would
-have other last digits, and other hashes, on another computer. Our own kernels use threads where that saves time.
+Linear algebra libraries add in another order when they use another number of threads, so the same job would have other
+last digits, and other hashes, on another computer. Our own kernels use threads where that saves time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LOCATORS = (
     "service.processes.kernel_locator.KernelLocator,UserProvidedCacheLocator"  # the latter for kernels of others
 )
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-_COMPILED = {"NUMBA_LOOP_VECTORIZE": "0"}  # a seventh less to compile, and no kernel of ours is slower for it
+_COMPILED = {"NUMBA_LOOP_VECTORIZE": "0"}  # compiling takes a seventh less, and none of our kernels is slower
 
 
 def use_current_kernels() -> None:

@@ -34,8 +34,8 @@ _reading = threading.Lock()  # removing docstrings changes syntax trees that all
 
 
 class KernelLocator(caching._CacheLocator):
-    """Given to numba by NUMBA_CACHE_LOCATOR_CLASSES; None for functions that are not at the top level of one of our
-    files.
+    """The locator that NUMBA_CACHE_LOCATOR_CLASSES gives to numba; None for functions that are not at the top level of
+    one of our files.
     """
 
     def __init__(self, module: str, name: str, root: Path) -> None:

@@ -78,7 +78,7 @@ def list_living_members(group: int) -> list[int]:
 
 
 def thread_count() -> int:
-    """Return threads of this process."""
+    """Return the number of threads of this process."""
     return len(list(Path("/proc/self/task").iterdir()))
 
 
@@ -107,7 +107,7 @@ def go_first() -> None:
 
 
 def give_way() -> None:
-    """Lower the priority of this thread and all that it starts from now on, unless it is already lower."""
+    """Lower the priority of this thread and of all processes that it starts from now on, unless it is already lower."""
     _set_nice(max(BEHIND, _read_nice()))
 
 

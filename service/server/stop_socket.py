@@ -52,7 +52,7 @@ def identify_stopper(
 class StopSockets:
     """ASGI, of WebSockets only.
 
-    find_stopper : whose token may stop mills; names: of this server
+    find_stopper : finds the owner of a token that may stop mills; names: of this server
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class StopSockets:
         self.open: dict[int, WebSocket] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one until it is closed."""
+        """Serve one socket until it is closed."""
         try:
             headers = read_headers(scope, self._names)
             refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
@@ -94,7 +94,7 @@ class StopSockets:
             await self._listen(socket, context)
         except WebSocketDisconnect:
             pass  # the page has gone
-        except (RuntimeError, KeyError):  # starlette raises them for a closed one, and for bytes instead of text
+        except (RuntimeError, KeyError):  # starlette raises them for a closed socket, and for bytes instead of text
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close()
 

@@ -15,8 +15,8 @@ _ALLOWED = "allowed: file:///folder, s3://bucket/prefix, or nothing for a folder
 
 
 def open_store(settings: ServerSettings) -> Store:
-    """Open the store; InputError if the setting names none, or one that workers on other hosts cannot reach;
-    FailedError if it fails.
+    """Open the store. InputError if the setting names no store, or one that workers on other hosts cannot reach;
+    FailedError if opening fails.
     """
     if settings.database_url is not None and urlsplit(settings.database_url).scheme not in _DATABASES:
         raise InputError("CAUSTICMILL_DATABASE_URL: allowed: postgresql://..., or nothing for a SQLite file")

@@ -25,7 +25,7 @@ from service.job.picture.linear_light import ToneReader
 
 PIXELS_PER_MM = 40
 _CLIPPED = 0.94  # of white, in linear light; a camera's response is not linear above
-_DARK = 2.0  # mm beyond the piece, from which on only the room's light is expected
+_DARK = 2.0  # mm beyond the piece from which only the room's light is expected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

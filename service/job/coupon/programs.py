@@ -56,7 +56,7 @@ TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
 
 CELL_MM, FINE_CELL_MM = 0.02, 0.01
 _BEYOND_MM = 0.9  # width of the heights around the piece, all within the area of the ball
-_SEEDS = (2, 1)  # of the mill's errors: for the comparison with photographs, and for the pictures
+_SEEDS = (2, 1)  # seeds of the mill's errors: for the comparison with photographs, and for the pictures
 _ABOVE_MM = 0.03  # of the stock before the finish, over the highest point
 _NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}
 
@@ -142,7 +142,7 @@ class PredictedPiece:
 
 
 def load_predicted_piece(path: Path, coupon: Coupon) -> PredictedPiece:
-    """Load coupon.npz; InputError if it is none."""
+    """Load coupon.npz; InputError if the file is not one."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
     lights = [f"light_{number}" for number in range(len(TEMPLATES_RAD_PER_MM))]

@@ -70,8 +70,8 @@ class Points:
 class Chords:
     """The path as chords within the tolerance of all its points, batch by batch.
 
-    Ends of rapids and of stops stay. As the points between run from one end of a chord to the other, every place on
-    the chord has one of them as near, too.
+    Ends of rapids and of stops stay. The points in between run from one end of a chord to the other, so every place on
+    the chord has one of them equally near.
     """
 
     def __init__(self, tolerance_mm: float) -> None:
@@ -131,7 +131,7 @@ def no_box() -> Array:
 
 @njit(cache=True, nogil=True)
 def widen(corners, mm, kind, without):  # type: ignore[no-untyped-def]
-    """Make the lowest and highest corner (2, 3) hold all points of no such kind."""
+    """Extend the lowest and highest corner (2, 3) to all points that are not of this kind."""
     for k in range(len(kind)):
         if kind[k] & without == 0:
             for d in range(3):
@@ -142,7 +142,7 @@ def widen(corners, mm, kind, without):  # type: ignore[no-untyped-def]
 class MovePoints:
     """Takes the batches of a program; returns points as soon as the look-ahead has determined their times.
 
-    Moves that go nowhere and take no time make none. `time_s`: of the last point given.
+    Moves of zero length and zero time make no point. `time_s`: of the last point returned.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -174,7 +174,7 @@ class MovePoints:
 
     @property
     def seconds(self) -> float:
-        """Of the whole program so far."""
+        """Lowest and highest corner of the whole program so far."""
         return self._model.seconds
 
 
@@ -206,7 +206,9 @@ class Thinner:
         self._left_out = False
 
     def add(self, points: Points) -> Points:
-        """Add the next points of the path; return those drawn, and in `unseen` the ends of what is left out."""
+        """Add the next points of the path; return those that are drawn, and in `unseen` the ends of the parts that are
+        left out.
+        """
         if not len(points):
             return points
         first, last = self._last is None, self._last

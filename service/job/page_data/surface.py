@@ -24,7 +24,7 @@ from service.job.files import make_header_line
 
 _CELLS = 512  # along the longer side
 _SHARP_CELLS = 1024  # for light without size, which does not blur
-_COARSER = 4  # cells are a multiple of it along both sides, so that a slow page can do with every fourth node
+_COARSER = 4  # cells are a multiple of it along both sides, so that a slow page can use every fourth node only
 _ROUNDING = 2e-3  # of a cell: distance by which one step of the heights moves light on the wall
 _MOST_LEVELS = 2**30
 _FULL = 255
@@ -61,7 +61,7 @@ def light_bytes(
     is not the same everywhere, uint8 (ny, nx) share of the strongest at each node.
 
     white  : irradiance that is shown as white
-    slopes : (k, 2) by which the surface's slope is off in x and y, each at one k-th of it; None: nowhere
+    slopes : (k, 2) errors of the surface's slope in x and y, each on one k-th of the surface; None: no errors
     """
     longer_mm = max(surface.width_mm, surface.height_mm)
     cells = _CELLS if bench.light.radius > 0 else min(_SHARP_CELLS, max(_CELLS, *surface.z_mm.shape))

@@ -47,7 +47,7 @@ _CAMERA_PX = 1.2  # pixels of the photograph: the camera's own blur
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedLight:
-    """irradiance (ny, nx): work frame, mean about 1; NaN where its file only says "white or brighter"."""
+    """irradiance (ny, nx): work frame, mean about 1; NaN where its file is clipped at white."""
 
     kind: PredictedKind
     lens: Heightfield
@@ -230,7 +230,7 @@ def _find_tilt(code: str, angles: tuple[Estimate, Estimate], predicted: Predicte
 
 
 def _turn_deg(place: Registration) -> float:
-    """Return the turn beyond the nearest quarter, which is how the camera was held."""
+    """Return the turn beyond the nearest quarter turn, by which the camera was held."""
     deg = math.degrees(place.rotation_rad)
     return deg - 90.0 * round(deg / 90.0)
 

@@ -35,7 +35,7 @@ _REFUSALS: dict[Refusal, Phrase] = {
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WitnessFinding:
     """reading: share of the planned dose; minutes: of the plan, None if it has none; worked: minutes so far, if the
-    person gave them; psnr_db: of the wall by now, if the report allows to say.
+    person gave them; psnr_db: of the wall by now, if the report has the data for it.
     """
 
     reading: DoseReading
@@ -44,7 +44,7 @@ class WitnessFinding:
     psnr_db: float | None
 
     def sentences(self) -> Iterator[Phrase]:
-        """Yield the state of the finish, then what to do."""
+        """Yield the state of the finish, then the next step."""
         dose = self.reading.dose
         yield Phrase(
             "the finish has reached {percent:.0f} % of the plan (+-{error:.0f})",
@@ -72,8 +72,8 @@ class WitnessFinding:
 
 
 def read_witness_photo(photo: Path, job: Path, *, worked_minutes: float | None = None) -> WitnessFinding:
-    """Return what the photograph says of the marks of the job in a folder. InputError if the job has none,
-    PictureError if the photograph says nothing.
+    """Evaluate a photograph of the marks of the job in a folder. InputError if the job has none, PictureError if the
+    photograph shows none.
     """
     report, resolved = read_report(job), load_stored_job(job)
     finish = finish_of(resolved.spec)

@@ -11,7 +11,7 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF")  # Pillow's names; its o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureLimits:
-    """Limits of what is decoded; a server sets its own `max_megapixels` (service/settings)."""
+    """Limits for decoding; a server sets its own `max_megapixels` (service/settings)."""
 
     max_pixels: int
 
@@ -21,7 +21,7 @@ OWN_PICTURE = PictureLimits(max_pixels=100_000_000)  # for a person's own pictur
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureFacts:
-    """What a readable picture is: its size in pixels as stored, Pillow's names of format and mode."""
+    """Facts about a readable picture: its size in pixels as stored, Pillow's names of format and mode."""
 
     width: int
     height: int

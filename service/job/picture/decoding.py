@@ -1,4 +1,4 @@
-"""A picture file -> its pixels, or one line that says why not. Imports no arrays: the server's checker stays small."""
+"""Decodes a picture file to pixels, or refuses it in one line. Imports no arrays: the server's checker stays small."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Colorimetry:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DecodedPicture:
-    """Pixels as Pillow gives them, upright, and what it does not say of them.
+    """Pixels as Pillow gives them, upright, and properties that Pillow does not report.
 
     colour        : an ICC profile, or what stands in its place; None for sRGB
     full_scale    : the largest value that a sample of more than 8 bits can hold
@@ -88,13 +88,15 @@ def check_picture(path: Path, limits: PictureLimits, name: str) -> PictureFacts:
 
 
 def one_line(error: Exception) -> str:
-    """Return what a library says of a picture, short."""
+    """Return a library's message about a picture, shortened."""
     return printable(" ".join(str(error).split()))[:120] or type(error).__name__
 
 
 @contextmanager
 def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[DecodedPicture]:
-    """Open a picture. Every refusal that the header allows comes before decoding; its name says nothing of its kind."""
+    """Open a picture. Every refusal that the header allows comes before decoding; the file's name does not determine
+    its kind.
+    """
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files
         if not (head := file.read(12)):
@@ -174,7 +176,7 @@ def _colour_of(image: Image.Image, chunks: PngChunks | None) -> bytes | Colorime
     if len(points := image.info.get("chromaticity", ())) == 8:
         white, red, green, blue = (tuple(points[place : place + 2]) for place in range(0, 8, 2))
         found = Colorimetry(gamma=1 / gamma, white=white, red=red, green=green, blue=blue)
-    return None if found.is_like(_SRGB) else found  # 0.45455 is what writers of sRGB put there
+    return None if found.is_like(_SRGB) else found  # writers of sRGB put 0.45455 there
 
 
 def _is_adobe_rgb(image: Image.Image) -> bool:
@@ -183,7 +185,7 @@ def _is_adobe_rgb(image: Image.Image) -> bool:
         return False
     try:
         notes = image.getexif().get_ifd(_INTEROP_IFD)
-    except Exception:  # Pillow raises anything on damaged notes, which are no damage to the picture
+    except Exception:  # Pillow may raise any error on damaged metadata, which does not damage the picture
         return False
     return str(notes.get(_INTEROP_INDEX, "")).strip("\0 ") == "R03"
 
@@ -205,7 +207,7 @@ def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
             raise _make_damage_error(name, error) from None
         error.filename = name
         raise PictureError(sentence_of_os_error(error, doing=Phrase("cannot read the picture"))) from None
-    except Exception as error:  # decoders raise anything on damaged data: struct.error, IndexError, SyntaxError ...
+    except Exception as error:  # decoders raise any error on damaged data: struct.error, IndexError, SyntaxError ...
         raise _make_damage_error(name, error) from None
 
 
@@ -228,7 +230,7 @@ def unreadable(name: str, error: Exception) -> PictureError:
 
 
 def too_large_for_memory(name: str, width: int, height: int) -> PictureError:
-    """Return the refusal of a picture that there is no memory for."""
+    """Return the refusal of a picture that does not fit in memory."""
     return PictureError(
         Phrase("{name}: {width} x {height} pixels do not fit in memory", name=name, width=width, height=height)
     )

@@ -1,4 +1,4 @@
-"""Restricts what the decoder gets of PNG and TIFF files: only the chunks of a PNG that describe its pixels, and only
+"""Restricts the decoder's input from PNG and TIFF files: only the chunks of a PNG that describe its pixels, and only
 known layouts of TIFF. Any other layout is refused by name before anything is decoded.
 
 Pillow keeps all text of a PNG in memory and considers a file with long notes damaged. The colour profile is also
@@ -251,7 +251,7 @@ class TiffLayout:
 
 
 def require_known_layout(file: BinaryIO, name: str) -> TiffLayout | None:
-    """Return the layout of a TIFF that is read, None for a file that is no TIFF; PictureError for all others.
+    """Return the layout of a supported TIFF, None for a file that is not a TIFF; PictureError for other layouts.
 
     The file is left at its start. If the directory is damaged, Pillow's own error is raised.
     """

@@ -17,14 +17,14 @@ from PIL import Image
 from service.job.picture.linear_light import Array, linear_to_srgb
 from service.job.picture.resampling import resize
 
-COMPRESS_LEVEL = 3  # of 9: a third of the time of the usual 6, files a tenth larger
+COMPRESS_LEVEL = 3  # compression level, up to 9: a third of the time of the usual 6, files a tenth larger
 THUMBNAIL_BYTES = 18_000
 _ROW_SIDE = 300
 THUMBNAIL_SIDES = (192, 168, 144, 120)  # pixels of the longer side; the last fits even if nothing can be packed
 
 
 def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
-    """Convert linear irradiance (any shape) to 8 bit sRGB; `white` becomes 255, what is brighter is clipped.
+    """Convert linear irradiance (any shape) to 8 bit sRGB; `white` becomes 255, brighter light is clipped.
 
     Raises ValueError unless white is positive and finite.
     """

@@ -27,9 +27,9 @@ Array = npt.NDArray[np.float64]
 
 _STRIP_PIXELS = 4_000_000
 _BLACK = 1e-7  # far below the first step of 16 bits, above rounding
-_ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
+_ONE_TONE = 1e-4  # relative spread of a picture of one tone: far below one 8 bit step
 _PHOTO_PIXELS = 1600  # along the longer side: several for each pixel of the comparison
-_CLIPPED_BYTE = 252  # of any channel: from here on it counts as clipped
+_CLIPPED_BYTE = 252  # value of any channel from which it counts as clipped
 _MOST_NODES = 64  # along a side: the light of a lamp is smooth, and a spec stays readable
 
 

@@ -26,7 +26,7 @@ class Span:
 def weights_to_resample(size: int, span: Span, count: int) -> csc_array:
     """Return (count, size) sparse weights from `size` source pixels to `count` equal cells of the span.
 
-    A cell inside the picture has weights that sum to 1. What lies outside the picture counts as 0 (black).
+    A cell inside the picture has weights that sum to 1. Places outside the picture count as 0 (black).
     """
     cell = (span.high - span.low) / count
     return _area_weights(size, span, count) if cell >= 1.0 else _cubic_weights(size, span, count)

@@ -86,7 +86,7 @@ def _finer_mill(own: MachineProfile) -> str | None:
             profile = load_profile(name)
         except ProfileError:  # a person's own file; if it is chosen, the error is reported
             continue
-        is_usable = "top_z_mm" not in profile.guesses  # else every job for it is refused
+        is_usable = "top_z_mm" not in profile.guesses  # otherwise every job for it is refused
         if is_usable and (off_mm := hypot(profile.step_mm, profile.z_noise_mm)) < best_mm:
             best, best_mm = name, off_mm
     return best

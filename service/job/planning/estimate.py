@@ -66,7 +66,7 @@ from service.job.stages.kept_plans import NO_PLANS, KeptPlans, PlanChoice
 from service.wording import ball, cutter
 
 MOST_PIXELS = 512
-"""Of the compared picture, at most: finer detail hardly affects recognition."""
+"""Most pixels of the compared picture: finer detail hardly affects recognition."""
 PIXELS = 96
 """Along the longer side of the picture from which the lens is made."""
 
@@ -253,7 +253,7 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
     """Yield the hours of each pass: those of the plan, or computed from the stock that the pass before leaves."""
     specs = cam_passes_of(quick.spec)
     known_s = quick.seconds
-    if not specs[0].is_ball:  # what is to be cut after a flat end a plan has guessed
+    if not specs[0].is_ball:  # the plan has only guessed the stock after a flat end mill
         known_s = known_s[:1]
     times_s = known_s if len(known_s) == len(specs) else tuple(_time_passes_s(quick, specs, known_s))
     for spec, seconds in zip(specs, times_s, strict=True):

@@ -98,7 +98,8 @@ def plan_finish(
 ) -> FinishedPlan:
     """Return the best plan of all finishes whose tool reaches the rims, or of all finishes if none does.
 
-    A lens corrects the guess of one finish of each process, then of the best one, as long as no similar lens has.
+    A lens corrects the guess of one finish of each process, then of the best one, until a similar one has been
+    corrected.
 
     exactly    : also simulate the best with a lens as fine as the picture
     candidates : plans of milling, whose time and marks are reused; those with a rest pass are skipped
@@ -113,7 +114,9 @@ def plan_finish(
     lights, tried = [light for _, light in ways], set[int]()
 
     def try_best_of(numbers: Iterable[int]) -> FinishedPlan:
-        """Return the best plan of these finishes; a lens corrects its guess where no similar one has."""
+        """Return the best plan of these finishes; a lens corrects its guess unless a similar finish was corrected
+        before.
+        """
         best = best_of(_plan_all(rows_of, left_out, [ways[number] for number in numbers], goal), goal)
         number = lights.index(best.light)
         if find_nearest(number, ways, tried, within=_NEAR) is None:
@@ -143,8 +146,8 @@ def plan_finish(
 
 
 def trust_nearest(ways: Sequence[tuple[Finishing, FinishedLight]], tried: Collection[int]) -> None:
-    """Apply to each finish the corrections of the nearest that was tried, of the same process: places that one tool
-    does not reach give no information about other tools.
+    """Apply to each finish the corrections of the nearest tried finish of the same process: places that one tool does
+    not reach say nothing about other tools.
     """
     for number, (_, light) in enumerate(ways):
         nearest = find_nearest(number, ways, tried)
@@ -155,7 +158,7 @@ def trust_nearest(ways: Sequence[tuple[Finishing, FinishedLight]], tried: Collec
 def find_nearest(
     number: int, ways: Sequence[tuple[Finishing, FinishedLight]], tried: Collection[int], *, within: float = inf
 ) -> int | None:
-    """Return which of the tried finishes of the same process is nearest in the list, if one is that near."""
+    """Return the nearest of the tried finishes of the same process in the list; None if none is near enough."""
     alike = (one for one in tried if ways[one][0].process == ways[number][0].process and abs(one - number) <= within)
     return min(alike, key=lambda one: abs(one - number), default=None)
 
@@ -163,8 +166,9 @@ def find_nearest(
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
     """Return the quickest of the finishes in rows and without a rest pass that leave the same marks; sorted.
 
-    A lens for a finish is wavier than the coarse one that says how fast a path along contours is, and such paths have
-    left gaps on it (`chelsea`, 60 mm, R 3, 0.05 mm: tracks 0.137 mm apart), which the check of the program refuses.
+    Contour paths are excluded: a lens for a finish is wavier than the coarse one from which their speed is known, and
+    they have left gaps on it (`chelsea`, 60 mm, R 3, 0.05 mm: tracks 0.137 mm apart), which the check of the program
+    refuses.
     """
     found: dict[tuple[object, ...], Candidate] = {}
     for one in sorted(candidates, key=lambda one: (one.hours, one.tool.cost_class)):

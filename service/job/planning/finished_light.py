@@ -44,8 +44,8 @@ Design = Callable[[Finish, float, bool], tuple[Heightfield, Array]]
 
 
 class Spectra:
-    """Mean squares by wave number of a picture's waves and of what lenses for balls miss of them, and by _ROW_WAVES of
-    the curvature of rows.
+    """Mean squares by wave number: of a picture's waves, and of the part that lenses for balls lack; and, by
+    _ROW_WAVES, of the curvature of rows.
 
     k_rad_per_mm, wanted : (n,)
     """
@@ -62,7 +62,7 @@ class Spectra:
         self._bends: dict[tuple[Marks, ...], Array] = {}
 
     def lack_of(self, shown: Shown) -> Array:
-        """Return (n,) what a lens misses of each wave before milling."""
+        """Return (n,) the part of each wave that a lens lacks before milling."""
         if shown not in self._lacks:
             self._lacks[shown] = self._sum_squares(shown.waves - self._waves)
         return self._lacks[shown]
@@ -129,7 +129,7 @@ class FinishedLight(PictureLight):
     aimed_db = unsharpened_db = psnr_db
 
     def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
-        """Return no blur, because the finish takes off what blurs."""
+        """Return no blur, because the finish removes its cause."""
         return 0.0, 0.0
 
     def blur_mm(self, slopes: RowSlopes) -> float:
@@ -283,7 +283,7 @@ def _half_kept(finish: Finish) -> float:
 
 
 def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield:
-    """Return the surface plus what the finish leaves of rows with height errors, constant along each row."""
+    """Return the surface plus the rest of the rows' height errors after the finish, constant along each row."""
     spec = marks.spec
     along_x = spec.direction == "x"
     places = finished.y_mm if along_x else finished.x_mm

@@ -69,7 +69,7 @@ def _describe_fits(facts: LensFacts) -> Phrase:
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
     """Raise SpecError if flutes are shorter than one bite, or if the lens itself would touch the shank.
 
-    Only stated dimensions of a cutter are checked; the check of each program covers stock that is still there.
+    Only stated dimensions of a cutter are checked; the check of each program covers the remaining stock.
     """
     for number, spec in enumerate(passes):
         flutes_mm, key = spec.flute_length_mm, f"passes.{number}.flute_length_mm"

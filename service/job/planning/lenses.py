@@ -1,7 +1,8 @@
 """Lenses for the planner: for each ball of the shop, the lens designed for it or the given lens as that ball leaves it,
 and their light.
 
-Lenses are designed on a coarser picture; their error is applied to the full picture, whose fine detail is the target's.
+Lenses are designed on a coarser picture; their error is applied to the full picture, which keeps the target's fine
+detail.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def predict_designs(
 ) -> PictureLight:
     """Design a lens for each ball, largest first; if nothing has to be filled, smaller balls share the lens.
 
-    as_given : only the settings shape the lens, and each ball leaves it as well as it can
+    as_given : only the settings shape the lens, and each ball cuts it as well as it can
     aims     : each lens is to be sharpened by the blur of its milling
     """
     coarse = _coarser(target)
@@ -103,7 +104,7 @@ def predict_designs(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Shaped:
-    """A lens for a ball; missed: its light less what it aims at. fits: nothing had to be filled for the ball."""
+    """A lens for a ball; missed: its light minus its target. fits: nothing had to be filled for the ball."""
 
     form: LensForm
     missed: Array

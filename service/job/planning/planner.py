@@ -49,11 +49,11 @@ from service.wording import duration
 
 Progress = Callable[[float], None]
 OwnLens = Callable[[Marks], Heightfield]
-"""Designs the lens that those rows are cut into, as fine as the job's."""
+"""Designs the lens for those rows, at the job's resolution."""
 COARSE_STEP_MM = 0.0005
 """Steps from which the light shows that heights between them are not reached."""
 CONTOUR_FROM_MM = 15.0
-"""Of a lens's narrower side: less is half joints, and a path behind a finish left a gap there (R 1.5, 5 mm)."""
+"""Least size of a lens's narrower side: on less, half the path is joints, and one left a gap (R 1.5, 5 mm)."""
 
 
 def plan_for_picture(
@@ -209,7 +209,7 @@ def _choose_plan(
     finishing = None
     if finished is not None and (not is_free or is_worth_it(finished.plan, milled, goal)):
         plan, light, finishing = finished.plan, finished.light, finished.finishing
-    elif own_lens is not None:  # before a finish, whose heights are shaped, the coarse lens is nearer: 1 %, not 4
+    elif own_lens is not None:  # before a finish, whose heights are shaped, the coarse lens predicts better: 1 %, not 4
         coarse = light.forms[plan.chosen.finish.radius_mm]
         plan = time_by_lens(plan, LensForm.of(own_lens(plan.chosen.marks)), goal, guessed=coarse, shop=shop)
     if goal.hours is not None and not plan.met:

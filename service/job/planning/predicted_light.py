@@ -5,8 +5,9 @@ picture is that of the perfect lens convolved with this spread, darker at its ed
 of rows. A groove of width w under a ball R spreads its light over w (1 + reach / R). Valleys that a small ball cuts
 after a big one spread light like the rows of the small one.
 
-The first guess of PSNR needs no picture: the squared errors of a picture's waves add up, and rows keep of each wave a
-part for X times a part for Y. The best candidates' lenses are then designed again, sharpened for their own rows.
+The first guess of PSNR needs no picture: the squared errors of a picture's waves add up, and rows keep a part of each
+wave, the product of a part for X and a part for Y. The best candidates' lenses are then designed again, sharpened for
+their own rows.
 """
 
 from __future__ import annotations
@@ -137,9 +138,7 @@ class PictureLight:
         return light
 
     def _widen_slopes(self, marks: Marks) -> RowSlopes:
-        """Return the slope errors as wide as the picture sees them: the light of a groove has the groove's own width at
-        the start.
-        """
+        """Return the slope errors as they blur the picture: a groove's light starts with the groove's own width."""
         form = self.lenses[marks.radius_mm].form
         reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
         wider = marks.slopes.across.times(form.widen_factor(marks.spec, reach_mm))
@@ -149,7 +148,7 @@ class PictureLight:
         """Return how far a slope error deflects light on the screen, per unit of slope.
 
         A slope s deflects light by (n - 1)(s + c s^3) of the distance, to third order; a small change of it has 1 + 2 c
-        s^2 times the effect, in the mean of along it and across it.
+        s^2 times the effect, in the mean over both directions.
         """
         if form not in self._reaches_mm:
             self._reaches_mm[form] = self._reach_of_mm(form)
@@ -270,7 +269,7 @@ class PictureLight:
         return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
 
     def _sum_blocks(self, shown: Shown) -> tuple[Array, Array]:
-        """Return block sums of a lens's waves squared, and times the target's."""
+        """Return block sums of a lens's squared waves, and of their products with the target's."""
         if shown not in self._sums:
             sums = self._along.block_sums
             self._sums[shown] = sums(shown.waves**2), sums(shown.waves * self.goal)
@@ -336,8 +335,8 @@ class PictureLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedPicture:
-    """The predicted picture and its target: (ny, nx) irradiance, work frame. The figures are those of this light; the
-    smallest detail counts only the tool's marks.
+    """The predicted picture and its target: (ny, nx) irradiance, work frame. The figures belong to this light; the
+    smallest detail only considers the tool's marks.
     """
 
     light: Array

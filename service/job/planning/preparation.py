@@ -68,7 +68,7 @@ def aim_at_picture(spec: JobSpec, linear: Array) -> AimedPicture:
 def detail_to_prepare_for_mm(spec: JobSpec, *, columns: int) -> float:
     """Return the smallest detail on the screen for which a picture of that many pixels across is prepared.
 
-    It is the person's value, or else the blur of usual marks and of the source, at least two pixels.
+    It is the user's value, or else the blur of usual marks and of the source, at least two pixels.
     """
     if spec.image.prepare_detail_mm is not None:
         return spec.image.prepare_detail_mm
@@ -96,7 +96,7 @@ def score_against(irradiance: Array, original: Array) -> dict[str, float]:
 
 
 def _black_share(spec: JobSpec, original: Array) -> float:
-    """Return the share of light in valleys, where the picture has black that comes out of them."""
+    """Return the share of the light that valleys send into the black parts of the picture; 0 without black parts."""
     radius_mm = spec.lens_radius_mm
     if radius_mm <= 0 or not (original < DARK * original.max()).any():
         return 0.0

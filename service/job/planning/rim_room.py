@@ -1,12 +1,12 @@
 """Checks whether the tool of a finish reaches the rims of a lens: they lie in a pit, beside the wall that the cutters
 leave.
 
-Rows go one radius R beyond the rim. From there the wall rises as the cutter's flank, and stands up at 2 R: a rim that
-lies deeper than R has its wall there, however deep it is. A finish has to go on for its reach x beyond the rim, or it
-rounds the rim. A round tool of radius r that stands there meets the wall at the block's top first, at the height d of
-the wall and the distance w from the rim: it has room while x + sqrt(r^2 - (r - d)^2) <= w, for d < r, else x + r <= w.
-So tools are limited by (a^2 + d^2) / 2d, a = w - x, where a > d, else by a; beside a low wall any tool has room. Beyond
-the floor, x > R, it stands on the flank, and none has.
+Rows go one radius R beyond the rim. From there the wall rises like the cutter's flank, and is upright at 2 R: a rim
+deeper than R has its wall there, however deep it is. A finish has to go on for its reach x beyond the rim, or it rounds
+the rim. A round tool of radius r that stands there meets the wall at the block's top first, at the height d of the wall
+and the distance w from the rim: it has room while x + sqrt(r^2 - (r - d)^2) <= w, for d < r, else x + r <= w. So tools
+are limited by (a^2 + d^2) / 2d, a = w - x, where a > d, else by a; beside a low wall any tool has room. Beyond the
+floor, x > R, the tool stands on the flank, and no tool has room.
 
 The gain may justify another ball: `camera`, 100 mm, 200 mm to the wall, 85 minutes of felt, rows off by 1.2 um: 21.1
 dB; with the outermost 1 / 2 / 4 mm left as milled 19.1 / 18.7 / 18.6.

@@ -116,7 +116,7 @@ def best_possible(planned: Planned) -> Phrase:
 
 
 def hopeful_db(planned: Planned) -> float | None:
-    """Return by how much the milled picture may be worse than predicted [dB]; None: unpredictable."""
+    """Return how much worse than predicted the milled picture may be [dB]; None: unpredictable."""
     radius_mm = planned.chosen.finish.radius_mm
     reach_mm = planned.light.reach_mm(planned.light.forms[radius_mm])
     return HOPEFUL_DB if radius_mm <= _NEAR * reach_mm else None

@@ -1,4 +1,6 @@
-"""How much milling leaves of each wave of a picture's cosine transform: rows blur in one direction, contours in all."""
+"""The part of each wave of a picture's cosine transform that milling keeps: rows blur in one direction, contours in
+all.
+"""
 
 from __future__ import annotations
 
@@ -56,9 +58,8 @@ class Waves:
         return np.outer(*left)
 
     def compute_kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
-        """Return what is left of each wave, and of its square: rows run along the contour lines, so the direction
-        across them is that of the gradient, which is distributed over all places, and the direction along them is a
-        quarter of a turn from it.
+        """Return the remaining part of each wave, and of its square. Rows run along the contour lines: the direction
+        across them is that of the gradient at each place, and the direction along them is a quarter turn from it.
         """
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
         across, along = (spread.transfer(waves, reach_mm) for spread in (slopes.across, slopes.along))

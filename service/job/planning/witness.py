@@ -14,16 +14,15 @@ from typing import Literal
 import numpy as np
 
 from cam.around.specs import WitnessCut
-from cam.passes import Clamp
 from optics.finish import Finish
 from optics.witness import Mill, NoMarksError, Strip, choose_strip
+from service.job.spec.envelope import envelope_of, reach_of_witness
 from service.job.spec.lens_task import finish_of
-from service.job.spec.resolve import ResolvedJob, cam_stock_of, digits_of
+from service.job.spec.resolve import ResolvedJob, digits_of
 
 Side = Literal["front", "back", "left", "right"]
 _SIDES: tuple[Side, ...] = ("front", "back", "left", "right")
 LEAST_ROW_MM, _MOST_ROW_MM = 4.0, 12.0
-_CLAMP_MM = 1.5  # between a clamp and the cutter
 _BESIDE_SLOT_MM = 1.0
 _MOVED_MM = 3.0
 _DEEPER_MM = 0.05  # below the lens's highest point: the greatest height of ripples and steps
@@ -50,21 +49,21 @@ def plan_witness(job: ResolvedJob) -> WitnessPlan:
             strip = choose_strip(finish, depth_mm, mill, room_mm=room.along_mm[1] - room.along_mm[0])
             for begin_mm in room.begins_mm(strip.length_mm):
                 cut = _cut_of(job, side, strip, begin_mm, room, step_mm)
-                if not any(_is_near(cut, clamp, _keep_mm(job)) for clamp in cam_stock_of(spec).clamps):
+                if _is_clear(job, cut):
                     return WitnessPlan(strip=strip, side=side, cut=cut)
     raise NoMarksError("room")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Room:
-    """Where axes of rows may be: along the side, and across it, from the outer end to that near the lens."""
+    """The range for axes of rows: along the side, and across it, from the outer end to the end near the lens."""
 
     along_mm: tuple[float, float]
     across_mm: tuple[float, float]
 
     @classmethod
     def of(cls, job: ResolvedJob, side: Side, finish: Finish, depth_mm: float) -> _Room | None:
-        """Return the room at a side; None if there is too little, or the mill does not travel so far."""
+        """Return the room at a side; None if there is too little, or the mill does not travel that far."""
         spec, optics, margin_mm = job.spec, job.spec.optics, job.spec.stock.margin_mm
         skim_mm, radius_mm = spec.stock.skim_mm, spec.passes[-1].radius_mm
         beside_mm = math.sqrt(2 * radius_mm * (skim_mm + _DEEPER_MM))
@@ -116,13 +115,8 @@ def _cut_of(job: ResolvedJob, side: Side, strip: Strip, begin_mm: float, room: _
     )
 
 
-def _keep_mm(job: ResolvedJob) -> float:
-    row = job.spec.passes[-1]
-    return max(row.radius_mm, row.shank_radius_mm or 0.0) + _CLAMP_MM
-
-
-def _is_near(cut: WitnessCut, clamp: Clamp, keep_mm: float) -> bool:
-    left, right, front, back = cut.box_mm
-    beyond = (clamp.x_mm - right, left - clamp.x_mm - clamp.width_mm)
-    beyond_y = (clamp.y_mm - back, front - clamp.y_mm - clamp.depth_mm)
-    return max(*beyond, *beyond_y) < keep_mm
+def _is_clear(job: ResolvedJob, cut: WitnessCut) -> bool:
+    """Return whether neither the cutter nor what holds it, as far as the job states it, comes too near to a clamp."""
+    envelope, reach = envelope_of(job.spec, job.machine), reach_of_witness(job.spec, cut.box_mm, cut.lowest_mm)
+    is_long = reach.stick_out_mm is None or reach.stick_out_mm >= envelope.least_stick_out_mm(reach)
+    return is_long and not any(envelope.find_struck(reach))

@@ -26,8 +26,8 @@ _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 class BlockSizes:
     """Sizes of a job's block in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
 
-    outline_mm : corners of a lens that is no rectangle
-    swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
+    outline_mm : corners of a lens that is not a rectangle
+    swept_mm   : left, right, front and back of the area that the cutter's flanks sweep; None before there are programs
     clamps_mm  : left, front, width and depth of each that the spec names
     witness_mm : left, right, front and back of the strip of witness marks
     """
@@ -57,7 +57,7 @@ class BlockSizes:
 
     @property
     def has_room_for_clamps(self) -> bool:
-        """Whether clamps find room on that ring."""
+        """Whether the ring has room for clamps."""
         return self.swept_mm is not None and self.ring_mm >= CLAMP_GRIP_MM
 
 
@@ -67,7 +67,7 @@ class Holding:
 
     sentences        : for the list under the drawing
     clearance_mm     : how far above the stock top the holder stays at the deepest cut
-    highest          : nothing may stand higher than this: words
+    highest          : the height above which nothing may stand, in words
     """
 
     sentences: tuple[Phrase, ...]
@@ -242,7 +242,7 @@ def _rectangle(
 
 
 def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """Draw what the clamps that the spec names cover of the block, and a little beside it."""
+    """Draw the area of the block that the clamps named in the spec cover, and a little beside it."""
     out_mm = block.margin_mm + 4.0 / scale
     style = 'fill="#8795a1" stroke="#1f2933"'
     return [
@@ -262,7 +262,7 @@ def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> li
 
 
 def _lens(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """Draw the aperture, and in it the outline of a lens that is no rectangle."""
+    """Draw the aperture, and in it the outline of a lens that is not a rectangle."""
     w, h = scale * block.width_mm, scale * block.height_mm
     if not block.outline_mm:
         return [_box(zero_x, zero_y - h, w, h, _LENS, "#1f2933")]
@@ -318,7 +318,7 @@ def side_view(block: BlockSizes) -> Phrase:
 
 
 def _draw_light(block: BlockSizes, left: float, width: float, zero: float, back: float) -> list[str]:
-    """Draw arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
+    """Draw arrows up to the back, or down to a mirror, spreading if they come from a lamp; and their label."""
     middle = left + width / 2
     spread = 1.0 if block.lamp_mm is None else 0.35
     low, high = (zero - 62, zero - 8) if block.is_mirror else (back + 34, back + 6)

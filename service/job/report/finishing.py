@@ -44,7 +44,7 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return title, rows (what, figure), warnings, and the sentences on the process and on the rims; None if a job has
     no finish.
 
-    report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it),
+    report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (the results),
              `finish_tolerance`, `witness`, `rim_room`
     """
     work = table(report.get("finishing"))
@@ -92,7 +92,7 @@ def _check_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
     if removed_g := table(report.get("rim_room")).get("removed_g"):
         words = Phrase(
             "weigh the block, washed and dry, before and after: {removed_g} g come off, on a scale that shows a tenth "
-            "of that. No flat beside the lens is worked with it, on which a dial gauge could tell.",
+            "of that. A dial gauge cannot show it, because no flat beside the lens is finished as well.",
             removed_g=f"{removed_g:.2g}",
         )
         yield Phrase("To check it"), words

@@ -109,7 +109,7 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase |
 
 def _describe_expectation(milled: Mapping[str, Any], *, finished: bool) -> Phrase:
     designed_db, milled_db = milled.get("psnr_db_designed"), milled["psnr_db"]
-    given = milled.get("against_original") or milled  # a person compares with the one given
+    given = milled.get("against_original") or milled  # a person compares with the given picture
     told = Phrase(
         "As the block comes from the machine ({psnr_db:.1f} dB): {seen}.",
         psnr_db=given["psnr_db"],

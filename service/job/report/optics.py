@@ -21,7 +21,7 @@ _NOTHING_DB = 0.1
 
 
 def score_rows(report: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
-    """Return (what, figure, in words), first for the perfect surface, then as milled and as finished."""
+    """Return rows (what, figure, words), first for the perfect surface, then as milled and as finished."""
     rows: list[tuple[Phrase, str, Phrase]] = []
     parts = {
         "optics": Phrase("Lens itself"),

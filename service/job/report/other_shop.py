@@ -27,7 +27,7 @@ _LEAST_MM = 0.05
 def rows_for_another_shop(
     spec: Mapping[str, Any], report: Mapping[str, Any], files: frozenset[str]
 ) -> list[tuple[Phrase, Phrase]]:
-    """Return (what, figure in words); none where the job has no STEP file."""
+    """Return (property, figure in words); none if the job has no STEP file."""
     optics, stock, image = (table(spec.get(part)) for part in ("optics", "stock", "image"))
     if not {STEP, PACKED_STEP} & files or not optics.get("throw_mm"):
         return []

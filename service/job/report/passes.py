@@ -1,5 +1,5 @@
-"""What the setup sheet says of the programs: what happens around the passes, in sentences; what the check of each
-found, in numbers, a row for each question and a column for each pass.
+"""The programs on the setup sheet: sentences about the work around the passes, and the findings of each check in
+numbers, with a row for each question and a column for each pass.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _RESTARTS = {"layer": Phrase("a layer"), "entry": Phrase("an entry"), "row": Phr
 Row = Mapping[str, Any]
 Cells = tuple[Phrase, str, list[str]]
 
-_SCRATCH_MM = 0.5  # shorter slots are not worth a word
+_SCRATCH_MM = 0.5  # shorter slots are not mentioned
 
 
 def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[Phrase]:
-    """Return one sentence each, in the order in which it happens; none for a job without all that.
+    """Return a sentence for each of these steps, in the order in which they happen; none for a job without any.
 
     spec : with the whole figures of the mill under `machine`
     """
@@ -193,9 +193,7 @@ def _of_cut_out(cut_out: Mapping[str, Any], stock: Mapping[str, Any], made: Mapp
 
 
 def check_rows(passes: Sequence[Row]) -> list[Cells]:
-    """Return (what was verified, what is allowed, one cell per pass); rows that no pass has an answer to are left
-    out.
-    """
+    """Return (question, allowed value, one cell per pass); rows without an answer from any pass are left out."""
     asked: tuple[tuple[Phrase, str, Callable[[Row], str | None]], ...] = (
         (Phrase("Program read back and cut in simulation"), Phrase("every move"), _moves),
         (
@@ -279,7 +277,7 @@ def describe_bands(material: str, rows: Sequence[Row]) -> list[Phrase]:
 
 
 def flutes_in_words(row: Row) -> str:
-    """Return how long the flutes must be and, where that is stated, are."""
+    """Return how long the flutes must be and, if stated, how long they are."""
     need_mm, have_mm = row.get("flute_need_mm"), row.get("flute_length_mm")
     if need_mm is None:
         return MISSING

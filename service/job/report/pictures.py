@@ -1,4 +1,4 @@
-"""The pictures that the stages of a job draw: the one table from which folders, the setup sheet and the page know them.
+"""The pictures that the stages of a job draw: folders, the setup sheet and the page all use this table.
 
 To add one: a row here, a function in `figures/` that draws it, and in the stage `context.draw(NAME, ...)`.
 """
@@ -22,10 +22,10 @@ PREDICTED: dict[PredictedKind, str] = {"finished": "caustic-as-finished.png", "m
 class ReportPicture:
     """A file of a job, PNG. The order of the table is that of the sheet and of the page.
 
-    part    : of the job that it belongs to: new programs for the same lens leave those of lens and light as they are
+    part    : part of the job: new programs for the same lens leave the pictures of lens and light unchanged
     title   : in the page's list of files; wall: on its pictures as well
     caption : on the setup sheet
-    shown   : "wall": what the light paints: first on the sheet, and on the page over any other such picture;
+    shown   : "wall": the light on the wall: first on the sheet, and on the page over any other such picture;
               "page": by itself on the sheet and on the page; "sheet": on the sheet alone; "finish": beside the
               instructions for the finish
     note    : after the title, on the page's pictures

@@ -1,9 +1,9 @@
 """setup-sheet.pdf: one page of A4 for use beside the mill, with the setup sheet's instructions to its operator.
 
 Theory of operation: its contents come from `describe_setup`, and its sentences are those of the HTML page. They run
-down two columns in the largest type that fits; before the type gets too small, the side view is left out. There is no
-date and no figure of the computer on it, so that the same job gives the same bytes. It is in English only: another
-language would cost half a second of computing, and the fonts have no Japanese.
+down two columns in the largest type that fits; before the type gets too small, the side view is left out. It has no
+date and no figure that depends on the computer, so that the same job gives the same bytes. It is in English only:
+another language would cost half a second of computing, and the fonts have no Japanese.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SHOWN = {
     "finish-tolerance.png": 3, "caustic-as-finished.png": 1, "caustic-as-milled.png": 1, "caustic.png": 1,
     "target.png": 1,
 }  # fmt: skip
-"""Pictures of the wall in order of preference, and the number of pictures side by side in each."""
+"""Pictures of the wall in order of preference, and how many pictures each shows side by side."""
 
 _EDGE, _GAP = 34.0, 16.0
 _COLUMN = (WIDTH - 2 * _EDGE - _GAP) / 2
@@ -119,7 +119,7 @@ def _draw_programs(paper: Paper, passes: Sequence[Mapping[str, Any]], top: float
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
-    """Return a program's row of the table: a box to tick, its file, tool, figures, and how its hash begins."""
+    """Return a program's row of the table: a box to tick, its file, tool, figures, and the beginning of its hash."""
     parts = row.get("parts") or [row]
     first, last = parts[0], parts[-1]
     files = str(row.get("file") or MISSING)
@@ -230,7 +230,9 @@ def _sections(setup: Mapping[str, Any], most: int, *, is_full: bool) -> list[tup
 
 
 def _restart_sentences(setup: Mapping[str, Any]) -> list[str]:
-    """Return how to go on after a break, and for each program its lines with the tool's place and what is in force."""
+    """Return how to go on after a break, and for each program its lines with the tool's place and the words in
+    force.
+    """
     listed = []
     for file, rows in setup["restarts"]:
         listed.append(f"<strong>{escape(file)}</strong>")

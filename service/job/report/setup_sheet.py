@@ -140,6 +140,7 @@ def describe_setup(
         "base": list(_describe_base(spec, under_head)),
         "rapid_z_mm": rapid_z_mm,
         "tool_changes": _tool_changes(programs, has_lengths=bool(table(spec.get("machine")).get("tool_change"))),
+        "top_guess": _describe_top(table(spec.get("machine"))),
         "restarts": describe_restarts(spec, report),
         "one_program": table(report.get("one_program")),
         "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
@@ -261,7 +262,7 @@ def _block_of(
 
 
 def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
-    """Return the corners of a lens that is no rectangle."""
+    """Return the corners of a lens that is not a rectangle."""
     outline = optics.get("outline", "rectangle")
     if outline == "ellipse":
         return ellipse_mm(float(optics["width_mm"]), float(optics["height_mm"]))
@@ -331,6 +332,18 @@ def _tool_changes(passes: Sequence[Mapping[str, Any]], *, has_lengths: bool) -> 
         "Set it again after each tool change, that is before {passes}; between the others the tool stays in and Z0 as "
         "it is.",
         passes=before,
+    )
+
+
+def _describe_top(machine: Mapping[str, Any]) -> Phrase | str:
+    """Say what nobody has tried of the way to the head's top, and how the owner finds out."""
+    if machine.get("dialect") != "okuma" or machine.get("top_z_mm") is None:
+        return ""
+    return Phrase(
+        "We only guess that G16 H0 goes to machine Z{top_z_mm:g} while a tool length (G56) is in force: before the "
+        "first cut run a program without a block on the table, block by block, and see that the head goes up in each "
+        "G16 line.",
+        top_z_mm=machine["top_z_mm"],
     )
 
 

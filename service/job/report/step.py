@@ -6,7 +6,7 @@ The sides are upright and follow the outline of the lens, without the margin of 
 cylinder or an elliptic side, cut along the surface. The back is flat at -thickness.
 
 A point of the net takes some 70 bytes of text, so that a net of 1025 x 1025 points makes 75 MB: files above MOST_BYTES
-are packed (lens.stpZ: a ZIP of lens.step, which CAD programs read as it is, or after unpacking).
+are packed (lens.stpZ: a ZIP of lens.step, which CAD programs read directly, or after unpacking).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from service.job.files import PACKED_STEP, STEP
 
 MOST_BYTES = 50_000_000
 _DECIMALS = 7  # of a millimetre: 0.1 nm
-_SAMPLES_PER_CELL = 4  # along an edge that crosses the cells of the grid anyhow
+_SAMPLES_PER_CELL = 4  # along an edge that crosses the cells of the grid at any angle
 _LEAST_SAMPLES = 9
 _HEAD = """ISO-10303-21;
 HEADER;

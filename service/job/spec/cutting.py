@@ -1,4 +1,4 @@
-"""The tables of the job spec that say what is cut, from what, and on which mill: `passes`, `[stock]` and `[machine]`.
+"""The tables of the job spec for the cutting, the block and the mill: `passes`, `[stock]` and `[machine]`.
 
 A row of `passes` has the keys of `cam.passes.PassSpec`, which is made from it. Rows make the lens: presets and plans
 choose them, and they determine the light. Facing and cut-out make the block, independent of the passes.
@@ -419,7 +419,7 @@ class MachineSpec(Section):
     units: Annotated[Literal["mm", "inch"] | None, _shown("Programs in")] = None
     number_every: Annotated[
         Annotated[int, _as_in_profile("number_every")] | None,
-        shown("N words", "On every so many-th line.", usual="usual"),
+        shown("N words", "On every n-th line.", usual="usual"),
     ] = None
     warm_up_s: Annotated[
         Annotated[float, _as_in_profile("warm_up_s"), none_or_from(0.1)] | None,

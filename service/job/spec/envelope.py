@@ -1,12 +1,13 @@
 """Whether a job fits its mill: travel, table, head and clamps; one rule for a submitted job, an estimate, the command
 line and a plan.
 
-Width, height and the block are checked as soon as a job is resolved; what depends on the lens, when it is computed.
+Width, height and the block are checked as soon as a job is resolved; the rest when the lens has been computed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import ceil, floor, inf
 
 from cam.around.specs import BESIDE_MM
@@ -24,21 +25,26 @@ _CLAMP_BESIDE_MM = 40.0  # how far a clamp of a usual set goes beyond the block,
 
 
 def require_envelope(
-    spec: JobSpec, machine: MachineProfile, *, depth_mm: float, lowest_mm: Sequence[float] | None = None
+    spec: JobSpec,
+    machine: MachineProfile,
+    *,
+    depth_mm: float,
+    lowest_mm: Sequence[float] | None = None,
+    witness: Reach | None = None,
 ) -> None:
-    """Raise SpecError if the passes of a job need more than the mill has. depth_mm : of the lens; lowest_mm : of each
-    pass's tip, with its run-out; None: not known better
+    """Raise SpecError if the programs of a job need more than the mill has. depth_mm : of the lens; lowest_mm : of each
+    pass's tip, with its run-out; None: not known better; witness: of the marks' program, once they have a place
     """
     radii = [row.radius_mm for row in spec.passes]
-    problems = [
-        *find_beyond_travel(spec, machine, radii, depth_mm=depth_mm),
-        *find_misfits(spec, machine, list_reaches(spec, depth_mm=depth_mm, lowest_mm=lowest_mm)),
-    ]
+    reaches = list_reaches(spec, depth_mm=depth_mm, lowest_mm=lowest_mm)
+    if witness is not None:
+        reaches["finish.witness"] = witness
+    problems = [*find_beyond_travel(spec, machine, radii, depth_mm=depth_mm), *find_misfits(spec, machine, reaches)]
     raise_problems(problems)
 
 
 def raise_problems(found: Sequence[tuple[Problem, float | None]]) -> None:
-    """Raise SpecError if there are any, with the values that would fit."""
+    """Raise SpecError for these problems, if there are any, with the values that would fit."""
     if found:
         raise SpecError([one for one, _ in found], {key: use for (key, _), use in found if use is not None})
 
@@ -64,7 +70,7 @@ def list_clamps(spec: JobSpec) -> tuple[Clamp, ...]:
 
 
 def safe_z_over_clamps_mm(spec: JobSpec, safe_z_mm: float) -> float:
-    """Return the height of rapids: the mill's usual one, or what clears the job's clamps."""
+    """Return the height of rapids: the mill's usual one, or a height that clears the job's clamps."""
     highest_mm = max((clamp.height_mm for clamp in list_clamps(spec)), default=0.0)
     return max(safe_z_mm, highest_mm + ABOVE_CLAMPS_MM) if highest_mm > 0 else safe_z_mm
 
@@ -120,6 +126,14 @@ def list_reaches(spec: JobSpec, *, depth_mm: float, lowest_mm: Sequence[float] |
     return found
 
 
+def reach_of_witness(spec: JobSpec, box_mm: tuple[float, float, float, float], lowest_mm: float) -> Reach:
+    """Return where the program of the witness marks takes the tool of the last pass: over their strip (left, right,
+    front, back).
+    """
+    tool = list_reaches(spec, depth_mm=0.0)[f"passes.{len(spec.passes) - 1}"]
+    return replace(tool, beyond_mm=(0.0, 0.0), strip_mm=box_mm, lowest_mm=lowest_mm)
+
+
 def find_misfits(
     spec: JobSpec, machine: MachineProfile, reaches: Mapping[str, Reach]
 ) -> Iterator[tuple[Problem, float | None]]:
@@ -161,7 +175,7 @@ def _find_short_flutes(spec: JobSpec) -> Iterator[tuple[Problem, float | None]]:
 
 
 def find_unstated(machine: MachineProfile) -> Iterator[Problem]:
-    """Yield the figures that programs move by and that only the owner of the mill knows."""
+    """Yield the figures that programs depend on and that only the owner of the mill knows."""
     if "top_z_mm" in machine.guesses:
         yield (
             "machine.top_z_mm",
@@ -244,7 +258,7 @@ def _find_struck(spec: JobSpec, envelope: Envelope, key: str, reach: Reach) -> I
 def _find_too_tall(
     spec: JobSpec, machine: MachineProfile, envelope: Envelope, reaches: Mapping[str, Reach]
 ) -> Iterator[tuple[Problem, float | None]]:
-    """Find a block that does not fit under the head with its tools, or that they do not come down to."""
+    """Find a block that does not fit under the head with its tools, or that the tools do not reach."""
     least_mm, most_mm = envelope.base_range_mm(reaches.values())
     base_mm, thick_mm = envelope.base_mm, envelope.thickness_mm
     stands_mm = max(least_mm, 0.0) if base_mm is None else base_mm
@@ -277,7 +291,7 @@ def _find_too_tall(
             )
         key, fits_mm = "stock.base_mm", most_mm
         if base_mm is None or most_mm < 0:
-            # a cutter that cuts the lens out sticks out by as much more as the block is thicker
+            # the stick-out of a cutter that cuts the lens out grows with the thickness of the block
             share = 0.5 if "stock.cut_out" in reaches and not by_gantry else 1.0
             key, fits_mm = "stock.thickness_mm", thick_mm - share * (stands_mm - most_mm)
         fits_mm = floor(10 * fits_mm + _ROUNDING_MM) / 10
@@ -295,7 +309,7 @@ def _find_too_tall(
 
 
 def _offer(key: str, words: Phrase, most_mm: float) -> tuple[Problem, float | None]:
-    """Return the problem with the greatest value of its key that would fit, if one does."""
+    """Return the problem with the greatest value of its key that would fit, if there is one."""
     if most_mm <= 0:
         return (key, words), None
     return (
@@ -355,7 +369,7 @@ def find_beyond_travel(
 def _list_overhangs(
     spec: JobSpec, machine: MachineProfile, radii_mm: Sequence[float], axis: str
 ) -> Iterator[tuple[float, Phrase]]:
-    """Yield what moves beyond the lens, and how far at either side."""
+    """Yield the cutters that move beyond the lens, and how far on either side."""
     stock = spec.stock
     radius_mm = max(radii_mm, default=0.0)
     yield radius_mm, Phrase("a cutter of radius {radius_mm:g} mm", radius_mm=radius_mm)

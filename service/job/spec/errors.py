@@ -35,7 +35,7 @@ def as_spec_error(error: ValidationError) -> SpecError:
 
 
 def _key_at_fault(detail: ErrorDetails) -> str:
-    """Return the key that a person should change: of a rule about a whole table, the one that the rule names."""
+    """Return the key that a person should change: for a rule about a whole table, the key that the rule names."""
     error = detail.get("ctx", {}).get("error")
     at = error.at.split(".") if isinstance(error, RuleError) and error.at else ()
     return join_place((*detail["loc"], *at))

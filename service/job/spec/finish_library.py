@@ -24,7 +24,7 @@ _NAME = _BUILT_IN.name
 _SENTENCES, _LISTS = ("title", "removal", "when_to_stop", "law"), ("needs", "steps", "donts")
 _LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
 LONGEST_PAD_MM = 500.0  # larger: no tool touches the lens (a film or a flame)
-LEAST_K0_RAD_PER_MM = 0.05  # less would level half of a wave of 90 mm, and with it the lens
+LEAST_K0_RAD_PER_MM = 0.3  # less would leave a third of a wave of 21 mm at most, and with it no picture
 ORDER_RANGE = (0.5, 8.0)
 DEPTH_RANGE_UM = (-500.0, 500.0)
 LEAST_PAD_MM = 0.5
@@ -69,7 +69,7 @@ class Process:
         return self.default_minutes * self._lenses(area_mm2)
 
     def least_and_most_minutes(self, area_mm2: float) -> tuple[float, float]:
-        """Return the minutes between which the law is believed, for a lens of that area."""
+        """Return the least and the most minutes for which the law is known to hold, for a lens of that area."""
         low, high = self.minutes_range
         return low * self._lenses(area_mm2), high * self._lenses(area_mm2)
 
@@ -112,7 +112,7 @@ def instruct_finishing(
     finish    : table `finish` of the spec: process, and, if given, k0_rad_per_mm, order, depth_um, minutes, pad_mm
     processes : by name
     area_mm2  : of the lens
-    returns   : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
+    returns   : report `finishing`: title, minutes (of the whole lens, with the known range), depth_um, the
                wavelengths that are levelled (a tenth is left) and kept (nine tenths are), the run-out that rims need,
                and the sentences of the process; figures without a process of the library have none
     """
@@ -165,7 +165,7 @@ def built_in_sentences() -> Mapping[str, Phrase]:
 
 
 def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:
-    """Return the length of the wave of which that share of its height, within 0 and 1, is left."""
+    """Return the length of the wave that keeps this share (between 0 and 1) of its height."""
     return 2 * math.pi / (k0_rad_per_mm * math.log(1 / share) ** (1 / order))
 
 

@@ -1,4 +1,4 @@
-"""Every key of the job spec with what it may be, its default and its meaning, from the pydantic model itself."""
+"""Every key of the job spec with its allowed values, its default and its meaning, from the pydantic model itself."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class KeyRow(NamedTuple):
 
 
 def list_keys(word: str = "") -> list[KeyRow]:
-    """Return the keys in the order of the spec; with a word, those that it occurs in."""
+    """Return the keys in the order of the spec; with a word, only those in which it occurs."""
     return [row for row in _list_rows(()) if row.has(word)]
 
 

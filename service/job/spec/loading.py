@@ -60,16 +60,16 @@ def resolve_job(
     """Resolve the complete job: defaults, then base, then file, then preset, then overrides ('key.key=value').
 
     light_picture is a measured picture of the light, which becomes optics.light.profile; load reads a mill's profile.
-    Naming a preset replaces the passes of the base; those of a file it would drop, which is an error. Raises SpecError,
-    one line for each thing that cannot be used.
+    Naming a preset replaces the passes of the base; it is an error beside the passes of a file, which it would drop.
+    Raises SpecError, one line for each thing that cannot be used.
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
     return complete_job(look_up(validate_spec(data), load))
 
 
 def default_layer(*, file: Path | None, preset: str | None, overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the lowest layer of a command line's spec: DEFAULT_JOB if it neither names passes nor a file, without its
-    finish if that is named; otherwise nothing.
+    """Return the lowest layer of a command line's spec: DEFAULT_JOB if the command names neither passes nor a file,
+    without its finish if the command names one; otherwise nothing.
 
     Measured for the mills in `machines/profiles`, `camera`, 100 mm: docs/passes.md.
     """
@@ -299,7 +299,7 @@ def reduce_spec(resolved: Mapping[str, Any]) -> Json:
     try:
         load = cache(load_profile)  # each try resolves the whole spec, and would read the machine's profile again
         wanted = _resolve(asked, load)
-        for _ in range(2):  # a value may follow from one that went after it, as a feed does from a given speed
+        for _ in range(2):  # a value may follow from one that was removed later, as a feed follows from a speed
             for place in _places(asked):
                 shorter = _remove(asked, place)
                 if shorter is not None and _resolves_to(shorter, wanted, load):

@@ -85,7 +85,7 @@ def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
 
 
 def forget_profile(name: str) -> None:
-    """Delete it; jobs keep the figures that they were made with. InputError as above."""
+    """Delete a saved profile; jobs keep their figures. InputError as for `save_profile`."""
     _require_free(name).unlink(missing_ok=True)
 
 

@@ -102,7 +102,7 @@ class ResolvedJob:
             own["whole_steps"] = True  # a finish removes errors that alternate from row to row, not the control's
         own.setdefault("safe_z_mm", safe_z_over_clamps_mm(spec, self.figures.profile.safe_z_mm))
         machine = replace(self.figures.profile, **_changed_figures(self.figures.profile, own))
-        if machine.units == "inch":  # rapids travel at whole tenths of an inch, which every digit can state
+        if machine.units == "inch":  # rapids travel at whole tenths of an inch, which any resolution can state
             machine = replace(machine, safe_z_mm=ceil(10 * machine.safe_z_mm / MM_PER_INCH) / 10 * MM_PER_INCH)
         unsupported = find_unsupported(
             machine.dialect,
@@ -130,7 +130,9 @@ class ResolvedJob:
 
 
 def _find_obstacle_to_one_program(machine: MachineProfile) -> Phrase | None:
-    """Return what has to be otherwise before the job's programs may follow one another without a person."""
+    """Return the setting that prevents the job's programs from following one another without a person; None if nothing
+    does.
+    """
     limits = ("most_program_mb", "most_program_hours")
     if not machine.tool_change:
         return Phrase("with machine.tool_change = true, where the control's table has the length of each tool")
@@ -142,7 +144,7 @@ def _find_obstacle_to_one_program(machine: MachineProfile) -> Phrase | None:
 
 
 def _changed_figures(profile: MachineProfile, own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the job's own figures of the mill, with what does not hold beside them."""
+    """Return the mill figures that the job sets, and drop figures of the profile that no longer hold beside them."""
     base = {field.name: getattr(profile, field.name) for field in fields(profile)}
     changed = replace_figures(base, own)
     return {key: value for key, value in changed.items() if value is not base[key]}
@@ -179,7 +181,7 @@ def number_tools(spec: JobSpec) -> dict[tuple[object, ...], int]:
 
 
 def tool_key(row: PassRow | FaceSpec | CutOutSpec) -> tuple[object, ...]:
-    """Return what makes one tool of a job another than the next."""
+    """Return the values that distinguish one tool of a job from another."""
     names = ("shape", "radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
     return "ball" if isinstance(row, PassRow) else "flat", *(getattr(row, name, None) for name in names)
 
@@ -270,8 +272,8 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
     """Return the spec as plain data without the speeds, feeds and step-downs that `complete_job` would fill in with the
     same values.
 
-    Values in spec.json that the program chose are not wishes of the person, and are chosen again for another mill
-    or another ball.
+    Values in spec.json that the program chose are not the person's wishes; they are chosen again for another mill or
+    another ball.
     """
     spec, machine, material = job.spec, job.machine, MATERIALS[job.spec.stock.material]
     rows = []

@@ -99,7 +99,7 @@ class RuleError(ValueError):
 
 
 def none_or_from(least: float) -> AfterValidator:
-    """Return the rule for a number that is 0, which means none, or at least a minimum: anything between is a slip."""
+    """Return the rule for a number that is 0 (none) or at least a minimum: a value in between is a mistake."""
 
     def check(value: float) -> float:
         if 0 < abs(value) < least:

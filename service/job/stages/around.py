@@ -58,7 +58,7 @@ _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends
 
 
 def run_facing(context: StageContext) -> None:
-    """Write the program that faces the stock; its row of report `around`, and the stock that it leaves."""
+    """Write the program that faces the stock; return its row of report `around` and the stock that it leaves."""
     facing, stock, machine = facing_task_of(context.spec), cam_stock_of(context.spec), context.machine
     assert facing is not None and context.spec.stock.face is not None  # by the plan of stages
     paths = make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
@@ -69,8 +69,8 @@ def run_facing(context: StageContext) -> None:
 
 
 def run_witness(context: StageContext) -> None:
-    """Write the program that mills the witness marks; its row of report `around`, and the marks in `witness`; no
-    program if none can be made.
+    """Write the program that mills the witness marks; return its row of report `around`, and the marks in `witness`. No
+    program if no marks can be made.
     """
     try:
         planned = plan_witness(context.job)
@@ -101,7 +101,7 @@ def run_witness(context: StageContext) -> None:
 
 
 def run_cut_out(context: StageContext) -> None:
-    """Write the program that cuts the lens out; its row of report `around`."""
+    """Write the program that cuts the lens out; return its row of report `around`."""
     task, stock, machine = cut_out_of(context.spec), cam_stock_of(context.spec), context.machine
     assert task is not None and context.spec.stock.cut_out is not None  # by the plan of stages
     top = context.receive(LAST_STOCK, arrays.load_stock)

@@ -40,10 +40,10 @@ from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
 
 _STEPPING_MM = 0.05  # longest step within moves that a finish takes off; longer terraces stay
-_COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
+_COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: number of them for a wave of k0
 _SEEN_MM = 0.1  # of a rim
 _ALL_TOUCHED = 0.98  # of the lens: a loss on the rest is hardly visible
-_TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
+_TUBES_PER_PIXEL = 8  # along its side; but at least two a cell
 K0_TIMES = (1.25, 0.8)
 """Of the planned k0: too little work, and too much."""
 
@@ -215,7 +215,7 @@ def report_tolerance(
 
 
 def minutes_ratio(job: ResolvedJob, finish: Finish, k0_times: float) -> float:
-    """Return how many times the planned minutes lead to so many times the planned k0."""
+    """Return the ratio to the planned minutes that gives this ratio to the planned k0."""
     process = job.figures.processes.get(job.spec.finish.process)
     exponent = 1 / finish.order if process is None else process.k0_exponent
     return float(k0_times ** (-1 / exponent))
@@ -228,8 +228,8 @@ def work_longer(finish: Finish, k0_times: float, minutes_times: float) -> Finish
 
 
 def find_limit(loss_db: float, ratio: float) -> float:
-    """Return the ratio of minutes at which LOSS_DB is lost, of a loss that grows with the square of its logarithm and
-    is loss_db at `ratio`; never beyond that, where nothing was simulated.
+    """Return the ratio of minutes at which LOSS_DB is lost. The loss grows with the square of the ratio's logarithm and
+    is loss_db at `ratio`; the result never lies beyond that, where nothing was simulated.
     """
     share = 1.0 if loss_db <= LOSS_DB else math.sqrt(LOSS_DB / loss_db)
     return float(np.exp(share * math.log(ratio)))

@@ -1,4 +1,4 @@
-"""The stage that simulates light through the surface that the programs really leave: the picture that a person will
+"""The stage that simulates light through the surface that the programs really leave: the picture that the person will
 get.
 """
 
@@ -107,7 +107,7 @@ def read_tracks(
 
 
 def screws_of(machine: MachineProfile) -> Screws | None:
-    """Return the errors of a mill's screws; None if they are none, or not known."""
+    """Return the errors of a mill's screws; None if it has none, or they are not known."""
     if machine.screw_error_mm is None or not any(machine.screw_error_mm):
         return None
     return Screws(error_mm=machine.screw_error_mm, lead_mm=machine.screw_lead_mm)

@@ -80,7 +80,7 @@ class StageContext:
     picture_called     : in messages; None: by its path
     picture_queue      : draws the pictures
     plans              : folder of plans made before; None: no plan is kept
-    desk               : values by file name, shared by the stages of one process; None: all goes through files
+    desk               : values by file name, shared by the stages of one process; None: stages exchange files only
     """
 
     job: ResolvedJob
@@ -140,12 +140,12 @@ class StageContext:
             self.save(name, encode(value))
 
     def receive_if_there(self, name: str, decode: Callable[[Path], T]) -> T | None:
-        """Return what an earlier stage hands over; None if it did not, as in some jobs."""
+        """Return the value that an earlier stage handed over; None if there is none, as in some jobs."""
         is_there = (self.desk is not None and name in self.desk) or (self.folder / name).is_file()
         return self.receive(name, decode) if is_there else None
 
     def receive(self, name: str, decode: Callable[[Path], T]) -> T:
-        """Return what an earlier stage handed over."""
+        """Return the value that an earlier stage handed over."""
         if self.desk is not None and name in self.desk:
             value: T = self.desk[name]
             return value
@@ -153,7 +153,7 @@ class StageContext:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this program and of what its numbers depend on."""
+    """Return the versions of this program and of the libraries that its numbers depend on."""
     names = ("causticmill", "numpy", "scipy", "numba", "pillow")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 

@@ -74,7 +74,7 @@ class MadePlan:
     draw    : returns plan.png
     see     : returns what the wall will show
     choices : returns the quickest, the chosen and the best plan, each once, quickest first
-    polished: the lens for its finish, which the next stage need not make again
+    polished: the lens for its finish, so that the next stage need not make it again
     """
 
     figures: dict[str, Any]

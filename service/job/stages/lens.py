@@ -82,7 +82,7 @@ def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
 
 def run_transport_map(context: StageContext) -> None:
     """Design the lens of the target, from the plan's polish if that was of the same lens: map.npz, with the picture as
-    given where a prepared one is aimed at, and heights; what the design says of itself in report `optics`; flow.png.
+    given where a prepared one is aimed at, and heights; the record of the design in report `optics`; flow.png.
     """
     target = context.receive(TARGET, arrays.load_target)
     require_contrast(context.spec, target)
@@ -220,7 +220,9 @@ def _report_design(context: StageContext, design: LensDesign, target: Array, set
 
 
 def _without_clock(record: dict[str, Any]) -> dict[str, Any]:
-    """Return a record without its seconds: a stage must report the same each time; `timings_s` holds durations."""
+    """Return a record without its seconds: a stage must report the same values each time; `timings_s` holds
+    durations.
+    """
     return plain({key: value for key, value in record.items() if key != "seconds"})
 
 

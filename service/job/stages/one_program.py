@@ -1,5 +1,5 @@
-"""The programs of a job in one file, for controls that change their tools themselves: written from the programs that
-have passed their checks, read back, and required to move as they do.
+"""Writes the programs of a job in one file, for controls that change their tools themselves, from the programs that
+have passed their checks. The file is read back and must make the same moves.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from service.job.spec.resolve import post_of
 
 
 def write_one_program(folder: Path, report: Mapping[str, Any], machine: MachineProfile) -> dict[str, Any]:
-    """Write all programs of a job as one; return its part of the report: the file, its time, where it changes tools and
-    how many lines later each program's lines stand in it. FailedError if it does not move as they do.
+    """Write all programs of a job as one; return its part of the report: the file, its time, where it changes tools,
+    and the offset of each program's lines in it. FailedError if it does not make the same moves.
     """
     post, rows = post_of(machine), programs_in_order(report)
     assert isinstance(post, Post)  # RML-1 has no word for a tool change

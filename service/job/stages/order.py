@@ -33,7 +33,7 @@ class StageOrder:
     spec    : the resolved spec, as spec.json holds it; figures: of `ResolvedJob`, as text
     inputs  : files of the job's earlier stages by name; the stage fetches those that it reads
     report  : parts of report.json made so far, merged; notes: likewise, sentences by part of the job
-    scratch : path of a folder for this try alone, which it makes and removes
+    scratch : path of a folder for this try only, which it makes and removes
     """
 
     job_id: str

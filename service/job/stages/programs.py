@@ -59,12 +59,12 @@ CHIPS_WITHIN = 0.97
 """Share of the cutting time whose chips must be within the material's band; less is worth a warning."""
 REACHED_SHARE = 0.9
 """Share of the written feed from which the mill counts as reaching it."""
-_COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
+_COARSE_STEP_MM = 0.002  # step in heights from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
 
 def run_pass(context: StageContext) -> None:
-    """Write one program, then check it from its text; its row of report `passes`, and the stock it leaves.
+    """Write one program, then check it from its text; return its row of report `passes` and the stock it leaves.
 
     FailedError with the faults if it does not pass; the folder, and the program with it, are then removed.
     """
@@ -173,8 +173,8 @@ def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[Phrase]:
 def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[Phrase]:
     """Yield warnings about the effect of the raster of heights on the light, if it is visible.
 
-    Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
-    the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
+    Neighbouring rows are off by 0.1 to 0.2 of a step rms. Where rows lie closer than the width of a groove of that
+    depth, the deepest ones make the surface, with slopes of 0.4 sqrt(2 sigma / R), as on simulated surfaces.
     """
     digits = digits_of(job.machine)
     if digits.z_mm < _COARSE_STEP_MM or job.spec.finish.finishes:
@@ -190,8 +190,8 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[Phrase]:
 
 
 def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
-    """Yield the feed that the link can carry, if the mill waits for lines: of RML-1, whose time the pre-flight only
-    estimates; of every other dialect the pre-flight says so.
+    """Yield the feed that the link can carry, if the mill waits for lines. Only for RML-1, whose time the pre-flight
+    just estimates; for other dialects the pre-flight itself warns.
     """
     if machine.dialect == RML.name and (
         words := describe_slow_link(
@@ -220,7 +220,7 @@ def _of_chips(spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
         yield Phrase(
             "chips are too thin for {percent:.0f} % of the cutting time: edges rub and heat ({thin_um:.1f} µm per "
             "tooth with {flutes} flutes at {spindle_rpm:g} rpm, the band begins at {least_um:g}; the longest stretch "
-            "ends in line {line} at X{x_mm:.2f} Y{y_mm:.2f}); {feed}; it takes {rpm:.0f} rpm or, where the spindle "
+            "ends in line {line} at X{x_mm:.2f} Y{y_mm:.2f}); {feed}; use {rpm:.0f} rpm or, if the spindle "
             "cannot turn so slowly, {cure}",
             percent=100 * below_s / whole_s,
             thin_um=1000 * chips.thinnest_mm,

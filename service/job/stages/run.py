@@ -135,7 +135,7 @@ def _hide_paths(scratch: Path) -> Iterator[None]:
 
 
 class _Shares:
-    """Takes progress within the parts of a stage, reports the share of the whole."""
+    """Converts progress within the parts of a stage to the share of the whole stage."""
 
     def __init__(self, stage: Stage, on_progress: Callable[[float], None]) -> None:
         self._parts = stage.parts

@@ -343,7 +343,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
 
 
 def _path_m(spec: JobSpec, row: PassRow) -> float:
-    """Return the length of a pass's rows, one over the other."""
+    """Return the total length of a pass's rows in all layers."""
     around_mm = 2 * row.radius_mm
     return (spec.optics.width_mm + around_mm) * (spec.optics.height_mm + around_mm) / row.pitch_mm / 1000
 
@@ -351,7 +351,7 @@ def _path_m(spec: JobSpec, row: PassRow) -> float:
 def stage_key(
     stage: str, job: ResolvedJob, *, image_sha256: str, image_name: str, outputs: Mapping[str, FileRef]
 ) -> str:
-    """Return the hash of all that the outputs of a stage can depend on.
+    """Return the hash of everything on which the outputs of a stage can depend.
 
     outputs : files of the job's earlier stages by name; of them only those that the stage reads count.
     """
@@ -375,7 +375,7 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     block's thickness where light slants through it or a branch is chosen for it; all that a picture is prepared for,
     where it is; the figures of mill, tools and finish; whether the stock is
     faced; how the spindle is warmed up and which outline is traced in the air, in the job's first program, and in that
-    of the first pass; and of each pass whether it is the last one, whose stock nobody asks for, and whether a rest pass
+    of the first pass; and of each pass whether it is the last one, whose stock nothing reads, and whether a rest pass
     comes after it, which takes what it cannot reach.
     """
     spec = job.spec

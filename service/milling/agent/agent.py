@@ -35,7 +35,7 @@ T = TypeVar("T")
 _CALL_S = 60.0
 _SHOWN_S = 0.1  # wait for the state after a stop; if it takes longer, the events report it
 _ORDER_S = GRANT_S + 1.0
-START_S = CARRY_OUT_S + 30.0  # on top of the grant's time, only the journal is waited for
+START_S = CARRY_OUT_S + 30.0  # after the grant's time, only the journal can still delay a start
 
 
 class MillAccess:
@@ -59,7 +59,7 @@ class MillAccess:
         return self._thread.snapshot.as_dict()
 
     def is_alive(self) -> bool:
-        """Return whether the mill's thread runs. It takes two looks to return False."""
+        """Return whether the mill's thread runs. Only a second failed check returns False."""
         if self._thread.turns != self._turns:
             self._turns = self._thread.turns
             self._silence.restart()
@@ -78,7 +78,7 @@ class MillAccess:
         needs_lease: bool = False,
         within_s: float = _ORDER_S,
     ) -> T:
-        """Have an order carried out under its grant; it may be refused."""
+        """Carry out an order under its grant; the mill may refuse it."""
         return await _await_answer(
             self._thread.submit(lambda mill: mill.carry_out(doing, act, caller, needs_lease=needs_lease)), within_s
         )
@@ -111,7 +111,7 @@ async def _await_answer(future: Future[T], within_s: float) -> T:
     done, _ = await asyncio.wait({waiting}, timeout=within_s)
     if done:
         return waiting.result()
-    waiting.add_done_callback(lambda late: late.cancelled() or late.exception())  # no one awaits it any more
+    waiting.add_done_callback(lambda late: late.cancelled() or late.exception())  # nobody awaits the result any more
     raise no_answer(within_s, taken_back=future.cancel())
 
 

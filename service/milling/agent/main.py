@@ -79,7 +79,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
 
 
 def _open_first_link(connector: Connector, url: str) -> None:
-    """Open the port now. A busy or invalid port ends the agent; a missing one is waited for."""
+    """Open the port now. A busy or invalid port ends the agent; the agent waits for a missing one."""
     try:
         connector.open_now()
     except PortError as error:

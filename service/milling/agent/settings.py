@@ -88,8 +88,8 @@ def make_agent_settings(
     token_file: Path | None,
     behind_proxy: bool = False,
 ) -> AgentSettings:
-    """Check and complete what the command line gave. A token always protects the mill: if no file is given, a token is
-    made.
+    """Check and complete the values of the command line. A token always protects the mill: if no file is given, a token
+    is made.
     """
     _refuse_foreign_bind(host, token_file, behind_proxy=behind_proxy)
     if not 0 <= bind_port <= 65535:

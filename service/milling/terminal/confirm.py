@@ -67,7 +67,7 @@ _ORIGIN = "terminal"
 
 
 def give_order(thread: MillThread, doing: str, act: Callable[[Mill], T]) -> T:
-    """Have `act` carried out now; MachineError if that is refused. It is never carried out late or after a stop."""
+    """Carry out `act` now; MachineError if it is refused. It is never carried out late or after a stop."""
     grant = thread.orders.issue_grant()
     caller = Caller(name=operator_name(), origin=_ORIGIN, grant=grant.word)
     return thread.call(lambda mill: mill.carry_out(doing, act, caller))

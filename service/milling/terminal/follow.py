@@ -219,7 +219,7 @@ class RunFollower:
         return Ended.LEFT
 
     def _step_feed(self, change: int) -> None:
-        """Step the feed override; keys may come faster than the mill reports what the last one did."""
+        """Step the feed override; keys may come faster than the mill reports the effect of the last one."""
         now, asked = time.monotonic(), self._feed_asked
         base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
         low, high = OVERRIDE_PERCENT

@@ -119,9 +119,7 @@ def _poll_until(driver: Driver, url: str, wait_s: float, is_done: Callable[[tupl
 
 
 def make_unconnected_error(url: str, status: MillStatus) -> NotAControllerError:
-    """Return the error for a link that is still not ready and not given up after this time; it says what the link waits
-    for.
-    """
+    """Return the error for a link that is neither ready nor given up by now; it says what the link waits for."""
     detail = f" ({status.detail})" if status.detail else ""
     return NotAControllerError(url, f"the mill is still {status.state.value}{detail}; given up")
 
@@ -335,7 +333,7 @@ def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
 
 
 def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunReport:
-    """Find the latest run of this very program that was not completed."""
+    """Find the latest incomplete run of this same program."""
     runs = [run for run in thread.snapshot.runs if run.program == facts.sha256 and run.state in RECOVERABLE]
     if not runs:
         raise InputError(

@@ -64,17 +64,19 @@ class StreamView:
 
     @property
     def over(self) -> bool:
-        """The run has ended."""
+        """Whether the run has ended."""
         return self.run_state in ("finished", "aborted", "interrupted")
 
     @property
     def shown_state(self) -> str:
-        """The mill's state; in a run, the moments in which its buffer is empty (a dwell, a short of lines) are run."""
+        """The mill's state. During a run, idle moments with an empty buffer (a dwell, a lack of lines) count as
+        "run".
+        """
         return "run" if self.state == "idle" and self.run_state in ("running", "recovering") else self.state
 
     @property
     def share(self) -> float:
-        """How much of the program is certainly cut, 0 to 1, by lines."""
+        """Share of the program's lines that are certainly cut, 0 to 1."""
         return min(1.0, self.executed_line / self.total_lines) if self.total_lines else 0.0
 
 
@@ -224,7 +226,7 @@ def stop_lines(heard: Sequence[signal.Signals]) -> Iterator[str]:
     if ways:
         yield f"to stop:    {ways}: each holds the mill, then aborts from standstill"
     else:
-        yield "to stop:    its caller lets no signal through to this command: only at the mill itself"
+        yield "to stop:    only at the mill itself: the caller of this command blocks all signals"
     yield f"{'':<11} no keys are read here. The mill's own feed hold, reset and emergency stop always work"
 
 
@@ -274,7 +276,7 @@ def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
 
 
 def stream_command(program: Path, port: str | None, machine: str, how: str) -> str:
-    """Return the exact command that continues or repeats a run: its last words are `how`."""
+    """Return the exact command that continues or repeats a run; it ends with the options in `how`."""
     words = ["causticmill", "stream", str(program)]
     if port is not None:
         words += ["--port", port]
@@ -284,7 +286,7 @@ def stream_command(program: Path, port: str | None, machine: str, how: str) -> s
 
 
 def describe_mill_left(status: MillStatus) -> str:
-    """Return in which state the mill is left."""
+    """Describe the state in which the mill is left."""
     if status.state is MillState.DISCONNECTED:
         return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"
     if status.state is MillState.CONNECTING:

@@ -81,7 +81,7 @@ from service.milling.terminal.screen import (
 from service.processes.files import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 
-_BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long
+_BOOT_S = 3.0  # how long a board that restarts when its port is opened stays silent
 _POSITION_S = 2.0
 
 
@@ -143,7 +143,7 @@ def _stream(order: StreamOrder) -> None:
 
 @contextlib.contextmanager
 def _lift_program(order: StreamOrder) -> Iterator[StreamOrder]:
-    """Write the program of a dry pass beside nothing else, for as long as it runs; without one change nothing."""
+    """Write the program of a dry pass into a folder of its own, kept while it runs; for any other run do nothing."""
     if order.lift_mm is None:
         yield order
         return

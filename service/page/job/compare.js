@@ -1,4 +1,4 @@
-/** Two jobs compared: their walls beside each other, and below only that in which they differ. */
+/** Two jobs compared: their walls side by side, and below them only the differences. */
 import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -38,7 +38,7 @@ function tellApart([a, b]) {
   return a === b ? [t`${a} (first)`, t`${b} (second)`] : [a, b];
 }
 
-/** The last of a job's pictures of its wall: the nearest to what will be seen. */
+/** The last of a job's pictures of its wall, which is the most realistic. */
 function wall({ job, artifacts }, name, shelf) {
   const seen = ON_THE_WALL.findLast(({ name: file }) => artifacts.has(file)), picture = h("img", { alt: seen ? `${name}, ${seen.title}: ${seen.note}` : "" });
   if (seen) shelf.get(artifacts.get(seen.name)).then((url) => (picture.src = url), () => {});
@@ -56,7 +56,7 @@ const FIGURES = [
 
 const SAID = "finish.minutes"; // by a figure
 
-/** The figures and settings that differ, in a table; those for experts, and the keys of passes, which a line says in words, behind a fold. */
+/** The figures and settings that differ, in a table; those for experts, and the keys of passes, which a line already states, are folded. */
 function differing(sides, names) {
   const jobs = sides.map(({ job }) => job), passes = jobs.map(passesOf);
   const figures = FIGURES.map((figure) => figureRow(figure, jobs)).filter(Boolean);

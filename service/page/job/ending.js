@@ -45,7 +45,7 @@ function freeMills() {
   return mills.seen.machines.filter((machine) => !hasLiveRun(machine));
 }
 
-/** seen: the picture that is there by now, if any. */
+/** seen: the picture that exists by now, if any. */
 function makingWords(job, seen) {
   const free = freeMills(), to = free.length === 1 ? `${addressOf(free[0].name)}?job=${job.id}` : "#/machines";
   const now = seen && (seen.name === ASKED ? t("the picture as asked for: its light is not worked out yet") : t`On the wall, ${within(seen.title)}`);

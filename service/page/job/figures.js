@@ -1,11 +1,11 @@
-/** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
+/** A job's report in words: pure functions of its JSON, so that all views describe the same figures alike. */
 import { t } from "../lib/language.js";
 import { ball, hours, mm, passName, within } from "../lib/words.js";
 import { alikeWords } from "./eye_words.js";
 import { valueWords } from "./setting_words.js";
 
 const WORTH_DB = 0.3;
-const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
+const MOST_OF_IT = 0.7; // share of the loss by milling from which one cause explains it
 const CAUSES = {
   scallops: [t("the grooves between rows"), t("a finer pitch or a bigger ball leaves less of them")],
   steps: [t("the machine's steps"), t("a machine with finer ones leaves less of them")],
@@ -28,7 +28,7 @@ export function pixelMm(spec) {
   return screenOf(spec).width / spec.image.pixels;
 }
 
-/** How alike a surface's light and the picture that a person gave look, in dB; undefined before it is known. */
+/** Likeness of a surface's light and the person's picture, in dB; undefined before it is known. */
 export function likenessOf(seen) {
   return (seen?.against_original ?? seen)?.seen_db;
 }
@@ -51,7 +51,7 @@ export function detailOfPlan(spec, row) {
   return Math.max(pixelMm(spec), 2 * row.blur_mm);
 }
 
-/** What the report says of all programs, in the order in which they are run: facing, passes, marks, cutting out. */
+/** The report's rows of all programs, in the order in which they are run: facing, passes, marks, cutting out. */
 export function programRows(report) {
   const { face, witness, "cut-out": cutOut } = report?.around ?? {};
   return [face, ...(report?.passes ?? []), witness, cutOut].filter(Boolean);
@@ -63,7 +63,7 @@ export function millSeconds(report) {
   return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
 }
 
-/** The first things to know of a job: [[what, figure, words]], as many as are known. predicted: its likeness. */
+/** The main figures of a job: [[what, figure, words]], as many as are known. predicted: its likeness. */
 export function headlines(spec, report, predicted) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
   const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);
@@ -128,8 +128,8 @@ function sharpnessWords(spec, detail) {
 }
 
 /**
- * What costs the milled picture most, as a sentence; null if nothing stands out. Marks hide each other: where one is
- * taken away the others stay, so what each alone would bring does not add up to what all of them cost.
+ * The largest cause of loss in the milled picture, as a sentence; null if nothing stands out. Marks hide each other: if
+ * one is taken away the others stay, so the single gains do not add up to the whole loss.
  */
 export function mainCause(report) {
   const { as_milled: milled, optics } = report ?? {};
@@ -148,7 +148,7 @@ export function isSharpened({ spec, report }) {
   return (report?.plan ?? spec.optics).foreseen_blur_mm.some((blur) => blur > 0);
 }
 
-/** How exactly the wall must stand, as a sentence; null if it was not simulated. */
+/** How exactly the wall must be placed, as a sentence; null if that was not simulated. */
 export function focusSentence(report) {
   const range = report?.optics?.tolerances?.focus_range_mm;
   if (!range) return null;

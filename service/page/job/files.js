@@ -106,7 +106,7 @@ function passOf(name, job) {
   return passesOf(job)[number - 1];
 }
 
-/** The way to a mill's own screen, which offers the programs after this one, each in its turn. */
+/** The link to a mill's own screen, which offers the following programs, each in its turn. */
 export function sendLink(job, program, mill, { alone, first }) {
   const address = `#/machines/${encodeURIComponent(mill.name)}?job=${job.id}&program=${program.number}`;
   const words = alone ? t("Send to mill") : t`Send to ${mill.name}`;

@@ -56,7 +56,7 @@ function warning(words) {
   return h("p", { class: "notice warn" }, shape("warn"), h("span", {}, words));
 }
 
-/** What is done, beside it what one needs and watches. */
+/** The steps, and beside them the materials and what to watch. */
 function howTo(finishing, atRims) {
   const list = (tag, sentences) => sentences.length > 0 && h(tag, {}, sentences.map((words) => h("li", {}, words)));
   const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
@@ -67,7 +67,7 @@ function howTo(finishing, atRims) {
   );
 }
 
-/** What it does to the lens and the wall, and why: nobody needs it at the bench. */
+/** Its effect on the lens and the wall, and the reasons: not needed at the bench. */
 function reasons(report) {
   const { removal, law } = report.finishing;
   return h(

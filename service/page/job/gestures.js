@@ -7,7 +7,7 @@ const KEY_ZOOM = 1.3;
 /**
  * on: {drag(dx, dy), zoom(factor, x, y), reset(), start?(), end?()}, in CSS pixels from the element's upper left corner.
  * The wheel zooms only while the element has the focus (a click gives it), so that a page scrolls past it; pinching on
- * a touch pad zooms always.
+ * a touch pad always zooms.
  */
 export function gestures(element, on) {
   const touching = new Map();

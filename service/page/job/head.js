@@ -8,7 +8,7 @@ import { ago, jobName, sentence } from "../lib/words.js";
 import { setUpWords, stageWords } from "./figures.js";
 import { settingWords } from "./setting_words.js";
 
-/** {node, update(job)}; `changed(job)` after something was done, `app` to go elsewhere. */
+/** {node, update(job)}; `changed(job)` is called after an action; `app` opens other screens. */
 export function headPart(app, changed) {
   const title = h("h1"), state = h("span", { class: "job-state" }), about = h("p", { class: "job-about dim" });
   const actions = h("div", { class: "row job-actions" }), notice = h("div", { role: "status" });

@@ -10,7 +10,7 @@ import { lensPicture } from "./lens_gl.js";
 import { lensStage } from "./lens_stage.js";
 import { extremes, heightAt, heightColour, heightPicture } from "./surface.js";
 
-const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"]; // what the wall will show, as far as it is known
+const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"]; // the picture on the wall, as far as it is known
 
 /** {node, update(artifacts, spec), free()} */
 export function lensPart() {

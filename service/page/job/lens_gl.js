@@ -1,4 +1,4 @@
-/** The lens as a body of clear acrylic, drawn by WebGL2. No events, no clock: what it looks like from one direction. */
+/** The lens as a body of clear acrylic, drawn by WebGL2. No events, no clock: its appearance from one direction. */
 import { programOf, release } from "./gl.js";
 import { extremes, triangles, vertices, walls } from "./surface.js";
 import { wallCorners, wallPicture } from "./wall_gl.js";
@@ -13,8 +13,10 @@ void main() {
   gl_Position = u_view * vec4(u_upright ? vec3(-v_point.x, v_point.z, v_point.y) : v_point, 1.0);
 }`;
 
-/** Clear glass, as light added to a dark room: what Fresnel reflects of a window and a floor lamp, the lamp's glint, and the
- * light of the room that the surface bends towards the eye. Nothing is hidden behind it. */
+/**
+ * Clear glass, as light added to a dark room: the Fresnel reflection of a window and a floor lamp, the lamp's glint,
+ * and the light of the room that the surface bends towards the eye. Nothing is hidden behind it.
+ */
 const FRAGMENT = `#version 300 es
 precision highp float;
 uniform vec3 u_eye; uniform bool u_wall;
@@ -79,7 +81,7 @@ export function lensPicture(canvas, grid) {
     gl.uniform3fv(eye, shown ? [-from[0], from[2], from[1]] : from);
     gl.uniform1f(middle, shown?.middle ?? (low + high) / 2);
     gl.uniform1i(upright, shown ? 1 : 0);
-    gl.enable(gl.BLEND); // each side of the block adds its light to what is behind it
+    gl.enable(gl.BLEND); // each side of the block adds its light to the light behind it
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
     gl.bindVertexArray(sides);
@@ -102,7 +104,7 @@ function floorOf(block) {
   return [left, front, z, right, front, z, right, rear, z, left, front, z, right, rear, z, left, rear, z];
 }
 
-/** Vertices of so many floats each: a point and, if there are 5, its slope after it. */
+/** Vertices of `floats` floats each: a point and, if there are 5, its slope after it. */
 function array(gl, data, floats) {
   const made = gl.createVertexArray();
   gl.bindVertexArray(made);

@@ -9,7 +9,7 @@ const TURN_PER_S = 0.25;
 const PER_PIXEL = 0.008;
 const FRAME_MS = 33;
 const SLOW_MS = 120;
-const SLOW_FRAMES = 12; // in a row, after which a browser without graphics hardware is spared
+const SLOW_FRAMES = 12; // slow pictures in a row after which the lens stops turning, in a browser without graphics hardware
 
 /** {node, seen(on), showWall(image, place), free()}, drawn by `make(canvas, grid)`; null if that gives nothing. */
 export function lensStage(grid, make) {

@@ -58,7 +58,7 @@ export function lightPart() {
     const own = which.value === DESIGNED && isSharpened(job) ? SHARPENED : SURFACES.find(([name]) => name === which.value)[2];
     return [own, focusSentence(job.report)].filter(Boolean).join(" ");
   }
-  /** A picture for this lens and this many pixels. A canvas keeps its context: what the last one held is given back. */
+  /** A picture for this lens and this many pixels. A canvas keeps its context, so the memory of the last picture is released. */
   function begin() {
     if (!lens) return;
     picture?.forget();
@@ -107,7 +107,7 @@ export function lightPart() {
   function ask() {
     if (!frame && picture && !gone && seen.seen() && (moved || pending)) frame = requestAnimationFrame(draw);
   }
-  /** A coarse picture at once while something moves; then all of the light on the finest net, as many beams a frame as it bears. */
+  /** A coarse picture at once while something moves; then all of the light on the finest net, as many beams a frame as the graphics card can draw. */
   function draw(time) {
     frame = 0;
     const took = time - last, all = (lens.nx - 1) * (lens.ny - 1), whole = beamCount(lens, setting);
@@ -142,7 +142,7 @@ export function lightPart() {
     reset,
   });
 
-  /** What the wall will really show comes first: the last surface that is known, until a person chooses. */
+  /** The surface that the wall will really show comes first: the latest known one, until a person chooses. */
   function update(artifacts, now) {
     files = artifacts;
     job = now;

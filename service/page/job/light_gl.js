@@ -2,9 +2,9 @@
  * Light through a lens onto a wall, by WebGL2. No events, no clock.
  *
  * The lens is a net of triangles. Each of its nodes is a ray, refracted exactly by the flat face and by the surface; a
- * triangle's light is spread evenly over the triangle that its rays span on the wall, and what lies over each other adds
- * up: optics/caustic.py, with one triangle for two of the server's. Light from a disc, and a surface whose slope is off
- * here so and there so, are many such *beams* of equal strength.
+ * triangle's light is spread evenly over the triangle that its rays span on the wall, and overlapping triangles add up:
+ * optics/caustic.py, with one triangle for two of the server's. Light from a disc, and a surface whose slope errors
+ * differ from place to place, are many such *beams* of equal strength.
  *
  * Lengths in mm. The *block*'s frame: as on the mill, but from the middle of the aperture; Z0 is the top of the stock.
  * The *room*'s: the same while nobody turns the block; the wall is its plane z = throw.
@@ -98,7 +98,7 @@ out vec4 colour;
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   if (u_turned) at.x = textureSize(u_light, 0).x - 1 - at.x;
-  float sum = 0.0; // of what triangles smaller than a pixel left beside each other, as specks
+  float sum = 0.0; // of the light that triangles smaller than a pixel left as specks
   for (int k = 0; k < 9; k++) {
     ivec2 off = ivec2(k % 3, k / 3) - 1;
     sum += float((2 - abs(off.x)) * (2 - abs(off.y))) / 16.0 * texelFetch(u_light, clamp(at + off, ivec2(0), textureSize(u_light, 0) - 1), 0).r;
@@ -214,7 +214,7 @@ function discPoints(count) {
   return points.map(([x, y]) => [x - middle[0], y - middle[1]]);
 }
 
-/** A step through a ring of so many that visits all of them, far apart. */
+/** A step through a ring of `count` places that visits all of them, far apart. */
 function coprimeTo(count) {
   const divisor = (a, b) => (b ? divisor(b, a % b) : a);
   let step = Math.max(1, Math.round(count * 0.618));

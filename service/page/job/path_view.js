@@ -1,10 +1,10 @@
 /**
- * A view of a tool path: the drawing follows hand and wheel at once, and is redrawn more finely when they rest.
+ * A view of a tool path: the drawing follows pointer and wheel at once, and is redrawn in finer detail when they rest.
  *
  * The canvas is larger than its frame. While it is moved or zoomed, only its transform changes, so that this costs the
- * same for ten moves as for ten million; where drawing is quick it is drawn anew in every frame besides. Then the
- * level of the file is chosen whose tolerance cannot be seen, those of its chunks are fetched that meet the frame, and
- * they take the place of what was shown.
+ * same for ten moves as for ten million; if drawing is quick, it is also redrawn in every frame. Then the view chooses
+ * the level of the file whose tolerance cannot be seen, fetches those of its chunks that meet the frame, and replaces
+ * the drawing with them.
  */
 import { h, svg } from "../lib/dom.js";
 import { gestures } from "./gestures.js";
@@ -13,7 +13,7 @@ import { chunksIn } from "./path_file.js";
 import { pathPicture } from "./path_gl.js";
 
 const OVERSIZE = 1.5;
-const SEEN_PX = 1; // a tolerance below so many device pixels cannot be seen
+const SEEN_PX = 1; // a tolerance of fewer device pixels cannot be seen
 const REST_MS = 140;
 const QUICK_MS = 9;
 const PATIENT_MS = 90; // longest time for drawing one picture

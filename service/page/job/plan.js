@@ -1,4 +1,4 @@
-/** Hours against sharpness: a slider over every useful plan, and in words what the one that it stands at means. */
+/** Hours against sharpness: a slider over every useful plan, and the meaning of the selected one in words. */
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";

@@ -1,6 +1,6 @@
 /**
- * How far a job is, stage by stage, and how long it will take to its end. Every stage has a time that it usually takes; how much
- * slower or faster this computer is today is seen in the stages that are done, and in the one at work by its own share.
+ * How far a job is, stage by stage, and how long it will take to its end. Every stage has a time that it usually takes;
+ * the finished stages, and the share of the present one, show how much slower or faster this computer is today.
  */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
@@ -77,10 +77,10 @@ function sentence(job, share, live, link) {
   return t`Stopped at ${percent(share)}${took ? t` after ${took}` : ""}.`;
 }
 
-const TRUST_S = 3; // of measured work, from which on the measure counts more than the usual
-const TELLING = 0.05; // share of a stage from which on its own pace says something
-const EITHER_WAY = 2; // what a stage may take longer than foreseen
-const MEASURED_S = 2; // of usual work done here, from which on the pace is known: the first job compiles what all others find ready
+const TRUST_S = 3; // seconds of measured work from which the measured pace counts more than the usual one
+const TELLING = 0.05; // share of a stage from which its own pace is used
+const EITHER_WAY = 2; // how much longer than predicted a stage may take
+const MEASURED_S = 2; // seconds of usual work done here from which the pace is known: the first job compiles what later jobs find ready
 const SOME_MINUTES_S = 600;
 
 /**
@@ -100,7 +100,7 @@ export function secondsLeft(job, live, now) {
   return { low, high: low * EITHER_WAY, known: planned && paced >= MEASURED_S };
 }
 
-/** "about 3 min left", "3 to 5 min left", "less than a minute left"; of what is not known only whether it takes minutes or longer. */
+/** "about 3 min left", "3 to 5 min left", "less than a minute left"; if it is not known, only whether it takes minutes or longer. */
 export function leftWords({ low, high, known }) {
   if (!known) return low < SOME_MINUTES_S ? t("a few minutes left") : t`at least ${Math.floor(low / 60)} min left`;
   const [from, to] = [low, high].map((seconds) => Math.ceil(seconds / 60));
@@ -113,7 +113,7 @@ function inHours(from, to) {
   return from === to ? t`about ${from} h left` : t`about ${from} to ${to} h left`;
 }
 
-/** The plan that an estimate has made is only read, which says nothing of the pace. */
+/** A plan that an estimate has made is only read, which says nothing about the pace. */
 const isPaced = ({ name }) => name !== "passes";
 
 /** How much longer stages take here than usual; reused stages do not count. */
@@ -123,7 +123,7 @@ function paceOf(stages) {
   return sum("seconds") / sum("usual_s");
 }
 
-/** The longer of the usual remaining time and that at its own pace. A late stage is expected to take as much more as it is late. */
+/** The longer of the usual remaining time and that at its own pace. A stage that is late is expected to take that much longer again. */
 function ofRunning({ started_at: startedAt, usual_s: usualS }, usual, share, now) {
   const spent = Math.max(0, (now - Date.parse(startedAt)) / 1000);
   const own = share > TELLING ? (spent * (1 - share)) / share : 0;

@@ -79,7 +79,7 @@ async function fetchAndSave({ url, name, size, link }) {
   }
 }
 
-/** A stream onto the disk; null if the browser has none. AbortError if the person thinks better of it. */
+/** A stream onto the disk; null if the browser has none. AbortError if the person cancels. */
 async function pickTarget(name) {
   if (!window.showSaveFilePicker) return null;
   return (await window.showSaveFilePicker({ suggestedName: name })).createWritable();

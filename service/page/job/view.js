@@ -27,7 +27,7 @@ import { progressPart } from "./progress.js";
 const CONTENTS = ["progress", "warnings", "pictures", "light", "facts", "programs", "plan", "finishing", "lens", "path", "photo", "files"];
 const GATHER_MS = 120;
 const POSITION_MS = 4000; // a queue moves on without events of this job
-const CLOCK_MS = 10_000; // after which times in words are said anew
+const CLOCK_MS = 10_000; // after which times in words are updated
 
 export default async function view(root, params, app) {
   const address = `/v1/jobs/${encodeURIComponent(params.id)}`;
@@ -58,7 +58,7 @@ export default async function view(root, params, app) {
     parts.finishing.update(job);
     parts.files.update(job, artifacts);
   }
-  /** Asks for the job as it is now; several wishes at once are one. */
+  /** Fetches the job as it is now; several requests at once become one. */
   function refresh() {
     asking ??= new Promise((done) => setTimeout(done, GATHER_MS)).then(load).finally(() => (asking = null));
     return asking;

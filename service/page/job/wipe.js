@@ -1,4 +1,4 @@
-/** Two pictures of one size over each other, the right one laid open from a line that mouse, finger or keys move. */
+/** Two pictures of one size over each other; mouse, finger or keys move the line from which the right one shows. */
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 

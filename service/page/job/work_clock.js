@@ -9,7 +9,7 @@ const MOST_KEPT = 50;
 const EVERY_MS = 1000;
 const NEW = { worked_ms: 0, since_ms: null };
 
-/** {worked_ms, since_ms} of a job: worked before, and since when again (since 1970; null: it pauses). */
+/** {worked_ms, since_ms} of a job: time worked before, and the start of the present work (since 1970; null: it pauses). */
 export function readClock(job) {
   try {
     const { worked_ms, since_ms } = JSON.parse(localStorage.getItem(KEPT))[job];
@@ -32,12 +32,12 @@ export function keepClock(job, clock) {
   localStorage.setItem(KEPT, JSON.stringify(Object.fromEntries([...others, [job, clock]])));
 }
 
-/** How long has been worked, s. A computer whose clock was set back takes nothing off. */
+/** Time worked, s. Setting the computer's clock back does not reduce it. */
 export function workedSeconds({ worked_ms: worked, since_ms: since }, now_ms) {
   return (worked + (since === null ? 0 : Math.max(0, now_ms - since))) / 1000;
 }
 
-/** {node}: the clock of a job whose setup sheet says so many minutes. It stops by itself when it leaves the screen. */
+/** {node}: the clock of a job, with the minutes of its setup sheet. It stops by itself when it leaves the screen. */
 export function workClock(job, minutes) {
   const whole_s = 60 * (minutes > 2 ? Math.round(minutes) : minutes); // as the sheet says it
   const left = h("strong", { role: "timer" });

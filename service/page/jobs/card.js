@@ -6,9 +6,9 @@ import { t } from "../lib/language.js";
 import { stateMark } from "../lib/state.js";
 import { ago, hours, jobName, percentUnderWay } from "../lib/words.js";
 
-const LEAST_ID = 6; // digits: any shorter part is in some id
+const LEAST_ID = 6; // digits: a shorter part would match too many ids
 
-/** {element, pick: its tick, where many are chosen, update(job), free()} */
+/** {element, pick: its tick for choosing many jobs, update(job), free()} */
 export function jobCard(first) {
   const image = h("img", { class: "thumb", alt: "", width: 96, height: 96 });
   const name = h("span", { class: "name" });

@@ -63,7 +63,7 @@ function addressOf(asked) {
   return query.length ? `#/?${new URLSearchParams(query)}` : "#/";
 }
 
-/** Which jobs, searched and sorted how; and the choice of many, to delete them. What is asked stays in the address. */
+/** The search and order of the list, and the selection of many jobs for deletion. The search stays in the address. */
 function toolbar(asked, list) {
   const links = FILTERS.map(([key, words]) => h("a", { class: "button", "aria-current": key === asked.show ? "true" : null }, words));
   const search = h("input", { type: "search", value: asked.q, placeholder: t("Search"), "aria-label": t("Search by name, mill, state or number"), oninput: () => change({ q: search.value.trim() }) });
@@ -111,7 +111,7 @@ function toolbar(asked, list) {
   };
 }
 
-/** The cards, or the text `none`; a small request at intervals keeps them current, more often while a job runs. */
+/** The cards, or the text `none`; a small request at intervals, shorter while a job runs, keeps them current. */
 function jobList(states, none, asked) {
   const query = states.map((state) => `&state=${state}`).join("");
   const cards = new Map(); // id -> {card, job}
@@ -185,7 +185,7 @@ function jobList(states, none, asked) {
     page.jobs.forEach(put);
   }
 
-  /** For a search, or in another order, all count: those that were not needed so far are asked for. */
+  /** A search or another order covers all jobs: fetch those that were not needed so far. */
   async function ask() {
     announce();
     while (next && (asked.q || asked.sort) && cards.size < MOST) await loadOlder(WHOLE_PAGE);
@@ -233,7 +233,7 @@ function jobList(states, none, asked) {
     announce();
   }
 
-  /** One after the other; why some were not, in sentences. */
+  /** Delete the jobs one after the other; return why some were not deleted, in sentences. */
   async function deleteAll(jobs) {
     const refusals = [];
     for (const job of jobs) {

@@ -1,9 +1,9 @@
 /**
  * The server's HTTP interface: one place for the token, for refusals, and for whether the server is there at all.
  *
- * The token lives in this module's memory and nowhere else: a reload forgets it. What fails because nobody answers is
- * a ProblemError of status 0; from then on the server is asked once in a while whether it is back, and who listens
- * with `onAway` hears of both.
+ * The token lives in this module's memory and nowhere else: a reload forgets it. A request without an answer fails with
+ * a ProblemError of status 0; from then on the page asks the server from time to time whether it is back, and calls the
+ * listeners of `onAway` at both moments.
  */
 
 import { readAnswer, t } from "./language.js";
@@ -17,8 +17,8 @@ const AWAY_STATUS = new Set([502, 504]);
 const NOBODY = { name: "", scopes: [], anonymous: true, paired: false, expires_at: null };
 
 /**
- * A refusal: `detail` in words, `code` with `values` where it has one, `effect`: what would come of it, `field` and
- * `problems` [{field, detail}] where it belongs. Status 0: no answer.
+ * A refusal: `detail` in words, `code` with `values` where it has one, `effect`: its consequence, `field` and
+ * `problems` [{field, detail}]: the values at fault. Status 0: no answer.
  */
 export class ProblemError extends Error {
   constructor(status, detail, { code = "", values = {}, effect = "", field = "", problems = [] } = {}) {
@@ -135,7 +135,7 @@ export const api = {
     return part && response.status === 200 ? found.slice(from, to) : found;
   },
 
-  /** Whether the caller may do that; where not, a person is asked for the key first. */
+  /** Whether the caller may do that; if not, the page first asks a person for the key. */
   async need(scope) {
     await settled;
     if (who.scopes.includes(scope)) return true;
@@ -149,7 +149,7 @@ export const api = {
   async pair(code, name) {
     return api.useToken((await api.post("/v1/pairings", { code, name }, { quiet: true })).token);
   },
-  /** From now on every request carries this token; who that is. ProblemError where the server does not know it. */
+  /** Use this token in every request from now on, and return its owner. ProblemError if the server does not know it. */
   async useToken(secret) {
     const before = token;
     token = secret;
@@ -168,7 +168,7 @@ export const api = {
 
   /** fn(true) when the server stops answering, fn(false) when it is back. Returns how to stop listening. */
   onAway: (fn) => listen(awayListeners, fn),
-  /** fn(who) whenever that changes. */
+  /** Calls fn(who) whenever the caller changes. */
   onWho: (fn) => listen(whoListeners, fn),
   /** A raw answer, refusals as ProblemError; for streams. */
   request,
@@ -268,7 +268,7 @@ async function readJson(response) {
 
 function setWho(found) {
   who = found;
-  for (const listener of [...whoListeners]) listener(found); // not who begins to listen meanwhile: that may be without end
+  for (const listener of [...whoListeners]) listener(found); // not listeners that are added meanwhile: there may be no end of them
 }
 
 function setAway(now) {

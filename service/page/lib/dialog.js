@@ -1,4 +1,4 @@
-/** Questions that wait for an answer, and words that pass by. */
+/** Questions that wait for an answer, and messages that disappear by themselves. */
 
 import { freshId, h } from "./dom.js";
 import { t } from "./language.js";
@@ -6,7 +6,7 @@ import { t } from "./language.js";
 const TOAST_MS = 6000;
 
 /**
- * A dialog; resolves with what `close(value)` was given, null if it was dismissed (Escape). It takes all other
+ * A dialog; resolves with the value passed to `close(value)`, null if it was dismissed (Escape). It takes all other
  * controls away, but never from a screen that stops a mill.
  * body: nodes, or (close) => nodes. actions: [{words, value, kind: "primary"|"danger"|""}], in the order shown.
  */

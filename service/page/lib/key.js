@@ -13,7 +13,7 @@ const WHAT = {
   "jobs:read": t("Enter the code"),
 };
 
-/** Asks for the code; resolves whether one was given that the server knows. */
+/** Asks for the code; resolves to whether the server knows the given one. */
 export async function askForKey(scope) {
   return (await open({ title: WHAT[scope] ?? WHAT["jobs:read"], body: form })) === true;
 }
@@ -82,7 +82,7 @@ function usualName() {
   return matchMedia("(pointer: coarse)").matches ? t("Phone") : t("Computer");
 }
 
-/** A code as it is printed, while it is typed; a token as it is. */
+/** Formats a code like the printed one while it is typed; a token stays unchanged. */
 function spelled(text) {
   const code = bare(text);
   if (text.startsWith("cm_") || !/^[0-9A-Z]{5,12}$/.test(code)) return text;

@@ -37,7 +37,7 @@ export function watchKeyEnd(enter) {
   setInterval(look, LOOK_MS);
 }
 
-/** Seconds that the token of `who` is still good for; Infinity for one that does not end. */
+/** Seconds for which the token of `who` is still valid; Infinity for one that does not expire. */
 function secondsLeft({ expires_at: end }) {
   return end ? (Date.parse(end) - api.now()) / 1000 : Infinity;
 }

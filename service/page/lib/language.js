@@ -1,16 +1,17 @@
 /**
  * The page's words in the reader's language. English stands in the sources, and is the key of the tables in
- * languages/; a table is loaded before anything else, and only where it is needed; that of the server's sentences with the
- * first that is not seen on every screen. what they lack is shown in English (docs/page.md).
+ * languages/; a table is loaded before anything else, and only if it is needed; the table of the server's sentences
+ * with the first sentence that is not on every screen. Sentences without a translation are shown in English
+ * (docs/page.md).
  */
 
 import { at } from "./root.js";
 
-/** What each language calls itself. */
+/** The name of each language in that language. */
 export const LANGUAGES = { en: "English", de: "Deutsch", ja: "日本語" };
 const KEPT = "causticmill-language";
 const LATE_MS = 1000;
-const LOAD_MS = 5000; // then in English: HOLD and STOP do not wait for words
+const LOAD_MS = 5000; // then in English: HOLD and STOP do not wait for a translation
 
 /** The language chosen here, or the first of the browser's languages that the page knows. */
 export const language = [localStorage.getItem(KEPT), ...navigator.languages.map((one) => one.split("-")[0]), "en"].find((one) =>
@@ -20,7 +21,7 @@ export const language = [localStorage.getItem(KEPT), ...navigator.languages.map(
 export const locale = navigator.languages.find((one) => one.split("-")[0] === language) ?? language;
 const table = language === "en" ? {} : await load("");
 let sentences = {}; // of the server
-let lacking = false; // a sentence was needed that no table has so far
+let lacking = false; // a sentence was needed that is in no loaded table
 /** @type {Promise<void> | undefined} */
 let coming;
 document.documentElement.lang = table ? language : "en";
@@ -30,14 +31,14 @@ async function load(folder) {
   return answer?.ok ? answer.json().catch(() => null) : null;
 }
 
-/** t("Save"), or t`${done} of ${total} lines`, whose key is "{0} of {1} lines"; what no table has stays as it is. */
+/** t("Save"), or t`${done} of ${total} lines`, whose key is "{0} of {1} lines"; a text that is in no table stays unchanged. */
 export function t(words, ...values) {
   const key = typeof words === "string" ? words : words.reduce((before, part, k) => `${before}{${k - 1}}${part}`);
   const found = table?.[key] ?? key;
   return values.length ? found.replace(/\{(\d)\}/g, (_, k) => values[k]) : found;
 }
 
-/** An answer of the server, which came as JSON, with its sentences in the language of who reads it. */
+/** An answer of the server, from JSON, with its sentences in the reader's language. */
 export async function readAnswer(text) {
   const answer = JSON.parse(text);
   lacking = false;
@@ -47,14 +48,16 @@ export async function readAnswer(text) {
   return translate(answer);
 }
 
-/** English after a second: what a mill does is not to wait for words. */
+/** English after a second: the state of a mill must not wait for a translation. */
 function loadSentences() {
   coming ??= load("server/").then((found) => void (sentences = found ?? {}));
   return Promise.race([coming, new Promise((done) => setTimeout(done, LATE_MS))]);
 }
 
-/** The same at once, by what is loaded: `phrases`, anywhere in it, tells by its text of what template and values each sentence
- * is made. */
+/**
+ * The same at once, with the tables that are loaded: `phrases`, anywhere in the answer, gives the template and values
+ * of each sentence by its text.
+ */
 export function translate(answer, phrases = {}) {
   if (typeof answer === "string") return Object.hasOwn(phrases, answer) ? say(phrases[answer]) : answer;
   if (!table || language === "en" || typeof answer !== "object" || answer === null) return answer;
@@ -67,7 +70,7 @@ function say({ template, values }) {
   const words = sentences[template] ?? table?.[template];
   if (words === undefined && /[a-z]/i.test(template)) {
     lacking = true;
-    loadSentences(); // who cannot wait has them next time
+    loadSentences(); // a caller that cannot wait gets them next time
   }
   return (words ?? template).replace(/\{(\w+)\}/g, (place, name) => {
     if (!Object.hasOwn(values, name)) return place;

@@ -15,7 +15,7 @@ export function photograph({ words = t("Take or choose a photograph"), address, 
   const found = h("ul", { class: "photo-findings" });
   const picture = h("img", { class: "photo-picture", alt: "", hidden: true });
   const input = h("input", { type: "file", accept: "image/*", capture: "environment", hidden: true, onchange: lookAtChosen });
-  let asked = 0; // what an earlier question brings is not shown any more
+  let asked = 0; // the answer to an earlier request is no longer shown
   const button = h("button", { type: "button", onclick: () => input.click() }, words);
 
   function lookAtChosen() {

@@ -2,15 +2,15 @@
  * One event stream for all tabs of a browser, which keeps only six connections to one server.
  *
  * The tab that holds the lock (Web Locks API) leads: it reads the stream and tells the others over a BroadcastChannel.
- * When it closes, the browser gives the lock to the next one, which goes on at the event that it has heard last. A leader
- * of which nothing is heard for longer than a stream may be silent has its lock taken away. Only tabs with the same
- * token share, for another one may not read the same: the name of the channel is a digest of it. Where the browser has
+ * When it closes, the browser gives the lock to the next one, which continues after the last event that it received. A
+ * leader that is silent for longer than a stream may be loses its lock. Only tabs with the same token share, because
+ * another token may not give access to the same data: the name of the channel is a digest of it. Where the browser has
  * no locks or no digests (a page without TLS from another computer), every tab reads its own.
  */
 
 const SILENCE_MS = 60_000; // longer than a leader waits for its server
 const MOST = 400; // events sent to a tab that opens later
-const NEWEST_ONLY = new Set(["status", "progress"]); // each says all that the one before did
+const NEWEST_ONLY = new Set(["status", "progress"]); // each contains everything of the one before
 
 /** Whether this browser lets tabs share: only if the page came over a private connection. */
 export function canShare() {

@@ -1,9 +1,9 @@
 /**
  * Server-sent events over fetch, because EventSource cannot send a token.
  *
- * A stream that breaks, or is silent for three heartbeats, is opened again with Last-Event-ID, sooner or later as
- * often as it failed; a restarted server is found again by itself. 204, or a refusal that no waiting mends, is the end.
- * A page that nobody sees follows nothing; the pages that are seen share one stream.
+ * A stream that breaks, or is silent for three heartbeats, is opened again with Last-Event-ID, after a pause that grows
+ * with each failure; so a restarted server is found again. 204, or a refusal that waiting cannot mend, is the end. A
+ * hidden page follows nothing; visible pages share one stream.
  */
 
 import { api } from "./api.js";

@@ -1,4 +1,4 @@
-/** The state of a job or run as a word and a shape; the colour comes third. */
+/** The state of a job or run as a word and a shape; the colour only adds to them. */
 
 import { h, svg } from "./dom.js";
 import { t } from "./language.js";
@@ -33,12 +33,12 @@ export function isGoing({ state }) {
   return state === "queued" || state === "running";
 }
 
-/** May a mill have a job's programs? job: a whole one, which offers them once checked; what they make is drawn after. */
+/** Whether a mill may get a job's programs. job: a whole one, which offers them once they are checked, before their light is drawn. */
 export function mayBeMilled({ state, programs, cancel_requested: givenUp }) {
   return programs.length > 0 && (state === "succeeded" || (state === "running" && !givenUp));
 }
 
-/** Whether a run is a dry pass: its program so much higher, with the spindle off. */
+/** Whether a run is a dry pass: its program at a raised height, with the spindle off. */
 export function isDry({ lift_mm: lift }) {
   return Number.isFinite(lift);
 }

@@ -8,8 +8,8 @@ import { ball, thousands } from "../lib/words.js";
 import { enable } from "./order_controls.js";
 
 /**
- * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing; under it what
- * the mill answered (`words`), so that nothing above the button ever moves. act({operator, checks}) gives the order.
+ * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing; under it the
+ * mill's answer (`words`), so that nothing above the button ever moves. act({operator, checks}) gives the order.
  */
 export function checklist(run, { label, words, act, changed = () => {} }) {
   const boxes = run.required_checks.map((check) => ({ check, box: h("input", { type: "checkbox", onchange: () => ((lost = ""), count(), changed()) }) }));
@@ -64,7 +64,7 @@ function line(check, box, run) {
   return h("label", { class: "tick" }, box, h("span", {}, words, more && h("small", {}, more)));
 }
 
-/** Every program switches the spindle on, which has no effect on one with its own switch. */
+/** Every program switches the spindle on, which has no effect on a spindle with its own switch. */
 function spindleWords(run, rpm) {
   if (isDry(run)) return t("a dry pass: the spindle stays off");
   return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";

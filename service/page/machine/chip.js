@@ -1,7 +1,7 @@
 /**
- * The mill in the head of every screen: state, share cut, and HOLD. Of several mills it shows the one that moves, as long
- * as it does, or else the worst, and mentions the others. On a mill's own screen, which has its own HOLD, it shows another
- * mill that moves or needs a hand.
+ * The mill in the head of every screen: state, share cut, and HOLD. Of several mills it shows the one that moves, as
+ * long as it moves, or else the one in the worst state, and mentions the others. On a mill's own screen, which has its
+ * own HOLD, it shows another mill that moves or needs a hand.
  */
 
 import { api } from "../lib/api.js";

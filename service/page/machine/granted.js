@@ -36,8 +36,8 @@ async function askGrant(path, body, headers, left_ms) {
 }
 
 /**
- * How long ago the press was, ms: by the clock that ran on, for one of them may stand still while the computer sleeps,
- * and the other may be set. A press that had to wait for a busy page is as old as the press.
+ * Time since the press, ms, by the clock that has advanced more: one of them may stop while the computer sleeps, and
+ * the other may be set. A press that had to wait for a busy page is as old as the press.
  */
 export function stopwatch() {
   const pressed = globalThis.event?.timeStamp ?? performance.now();

@@ -1,4 +1,4 @@
-/** What this mill has cut, and for how many hours with which ball; also as a file to save. Fetched when it is unfolded. */
+/** The programs that this mill has cut, and the hours of each ball; also as a file to save. Fetched when it is unfolded. */
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";

@@ -1,8 +1,8 @@
 /**
- * Jogging: one press is one step, never more, and steps add up; or, where a person has chosen that, the mill moves while
- * it is pressed.
- * Keyboard and gamepad jog only while they are armed, and they are armed only as long as the focus stays in the pad; a
- * key that is held down does nothing further. A tool in the block goes up; anywhere else only where a person has said so.
+ * Jogging: one press is one step, never more, and steps add up; or, if a person has chosen that, the mill moves as long
+ * as a button is pressed. Keyboard and gamepad jog only while they are armed, and they are armed only as long as the
+ * focus stays in the pad; a key that is held down does nothing further. A tool in the block may only go up, unless a
+ * person has allowed more.
  */
 
 import { h, write } from "../lib/dom.js";
@@ -149,7 +149,7 @@ function fit(feed, profile) {
   return true;
 }
 
-/** {node, inputs, mm(), held()}: how far one press goes, or as long as it lasts. */
+/** {node, inputs, mm(), held()}: how far one press goes, or "as long as it lasts". */
 function stepChoice(changed) {
   const choice = (value) => h("input", { type: "radio", name: "jog-step", value, checked: value === "1", onchange: changed });
   const inputs = [...STEPS_MM.map(String), HELD].map(choice);

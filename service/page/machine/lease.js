@@ -1,7 +1,7 @@
 /**
- * Control of one mill: one person at a time. A heartbeat keeps it, for some minutes after the view was left, too: who
- * reads a sheet comes back. No order can be given from elsewhere, and the next person can take over. A program goes on
- * without anybody's control, and HOLD and STOP need none; the page asks before a window with a program closes.
+ * Control of one mill: one person at a time. A heartbeat keeps it, also for some minutes after the person has left the
+ * view, to read a sheet for example. Meanwhile no order can be given from elsewhere, and the next person can take over.
+ * A program needs nobody's control to go on, nor do HOLD and STOP; the page asks before a window with a program closes.
  */
 
 import { api } from "../lib/api.js";
@@ -12,7 +12,7 @@ import { addressOf, hasLiveRun, refusal } from "./words.js";
 const RENEW_MS = 20_000;
 const STALE_MS = 3000;
 const AWAY_MINUTES = 10;
-const kept = new Map(); // name of a mill -> the lease of its view, which was left
+const kept = new Map(); // name of a mill -> the lease of its view after the person left it
 const HEADER = "Causticmill-Control";
 
 export class Lease {
@@ -53,7 +53,7 @@ export class Lease {
     return this.held ? { [HEADER]: this.secret } : {};
   }
 
-  /** ProblemError 409 if somebody else has it and it was not to be taken over. */
+  /** ProblemError 409 if somebody else has it and takeover was not requested. */
   async take({ takeOver = false } = {}) {
     if (!(await api.need("machine:run"))) return;
     this.keep(await api.post(this.path, { operator: api.who.name, take_over: takeOver }));
@@ -68,7 +68,7 @@ export class Lease {
     await api.delete(this.path, { headers, ...options }).catch(() => {}); // it ends by itself
   }
 
-  /** The view was left: say so, and give control back in some minutes unless the person is back by then. */
+  /** The person has left the view: show that, and give control back in some minutes unless they return. */
   leave() {
     const { name, machine } = this.link;
     kept.set(name, this);
@@ -120,7 +120,7 @@ export class Lease {
     this.operator = operator;
     if (this.since !== since) {
       this.freshUntil = Date.now() + STALE_MS;
-      setTimeout(() => this.link.machine && this.check(this.link.machine), STALE_MS + 50); // what was passed over until then
+      setTimeout(() => this.link.machine && this.check(this.link.machine), STALE_MS + 50); // check the reports that were skipped until then
     }
     this.since = since;
   }

@@ -1,4 +1,4 @@
-/** All mills of the shop on one screen: the state and progress of each, and HOLD, which keeps its place. The only one has its own screen at once. */
+/** All mills of the shop on one screen: the state and progress of each, and HOLD, which keeps its place. If there is only one mill, its own screen opens at once. */
 
 import { api } from "../lib/api.js";
 import { h, replace, sheet, write } from "../lib/dom.js";

@@ -17,7 +17,7 @@ const STANDS = ["idle", "alarm", "check", "sleep", "door", "jog", "homing", "too
 
 /**
  * chosen: {job, program} that a person means, from the address of the page or by hand; a program by its name or number.
- * Until it is on the mill nothing else is offered in its place; without it the program that follows the last run.
+ * Until it is on the mill nothing else is offered; without one, the program that follows the last run is offered.
  */
 export function loadCard(link, chosen) {
   const words = refusalLine();
@@ -59,7 +59,7 @@ export function loadCard(link, chosen) {
 
   const findWanted = () => (chosen.job ? chosen : findFollowing(link.run));
 
-  /** The program selected in the card; null until it is known. meant: by a person, or by the last run. */
+  /** The program selected in the card; null until it is known. meant: chosen by a person, or by the last run. */
   function findPreset() {
     if (listed !== jobs.value || !passes.value) return null;
     return { job: listed, job_name: jobs.selectedOptions[0].dataset.name, program: passes.value, meant: findWanted().job === listed };

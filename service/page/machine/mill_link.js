@@ -1,6 +1,6 @@
 /**
- * The state behind one machine's screen: its state and log as they arrive, the run that is on the mill, orders one at a
- * time, and stops, which have a way of their own and wait for nothing.
+ * The state behind one machine's screen: its state and log as they arrive, the run on the mill, orders one at a time,
+ * and stops, which go a separate way and wait for nothing.
  */
 
 import { api } from "../lib/api.js";
@@ -15,8 +15,8 @@ import { Stopper } from "./stopper.js";
 
 const MOST_LOG = 300;
 const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
-const LOOKED_BACK = 25; // runs, for the last one that was started
-const ANSWER_MS = 1500; // an order without a log entry by then is not waited for
+const LOOKED_BACK = 25; // runs, to find the last one that was started
+const ANSWER_MS = 1500; // the page waits no longer for the log entry of an order
 
 export class MillLink {
   constructor(name) {
@@ -26,7 +26,7 @@ export class MillLink {
     this.run = undefined; // not fetched yet; null: there has been none
     this.before = null; // the program that was started before the one that waits now
     this.isTried = false; // whether the one that waits has run here, dry or not
-    this.answers = new Map(); // run -> whether its block is the one that X0 Y0 was set for, as a person here has said
+    this.answers = new Map(); // run -> whether X0 Y0 was set for its block, as a person at this page has stated
     this.sameBlock = (run) => this.answers.get(run.id);
     this.looking = false;
     this.log = [];
@@ -107,7 +107,7 @@ export class MillLink {
   }
 
   takeLogEntry(entry) {
-    if (entry.code === "settings_read") return; // every look at a plan reads the settings
+    if (entry.code === "settings_read") return; // every request for a plan reads the settings
     if (entry.kind === "state" && PASSING.has(entry.words)) return;
     if (entry.code === "order_taken") return; // its outcome is logged too
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
@@ -138,11 +138,11 @@ export class MillLink {
     }
   }
 
-  // ---------------------------------------------------------------- what is said
+  // ---------------------------------------------------------------- messages
 
   /**
    * Send an order outside a run, once; an Error if it was not accepted. It ends when the log has its result.
-   * given: as of the press, if that was before now.
+   * given: from the moment of the press, if that was earlier.
    */
   order(what, body = {}, given = this.givenNow()) {
     const before = this.commands;
@@ -182,7 +182,7 @@ export class MillLink {
     this.changed();
   }
 
-  /** Load a program of a job onto the mill, where it waits. Nothing moves. lift_mm: as a dry pass, so much higher. */
+  /** Load a program of a job onto the mill, where it waits. Nothing moves. lift_mm: as a dry pass, raised by this. */
   load(job, program, lift_mm) {
     return this.runExclusively(() => api.post(`${this.path}/runs`, { job, program, lift_mm }, { headers: this.lease.headers() }));
   }
@@ -194,7 +194,7 @@ export class MillLink {
     return answer;
   }
 
-  /** What an order that is pressed now rests on: who has control, and the stops that this page knows. It is refused if a stop came since. */
+  /** The basis of an order that is pressed now: who has control, and the stops that this page knows. It is refused if a stop came since. */
   givenNow() {
     return { stops: this.stopper.countFrom(this.machine?.mill?.stops), pressed: this.pressedStops, headers: this.lease.headers() };
   }

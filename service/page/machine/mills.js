@@ -1,4 +1,4 @@
-/** All mills that the server knows: polled for the views that show them, and held from any of these views. */
+/** All mills that the server knows: polled for the views that show them, each of which can send HOLD to them. */
 
 import { api } from "../lib/api.js";
 import { StopSocket } from "./stop_socket.js";
@@ -55,7 +55,7 @@ export const mills = {
   },
 };
 
-/** Whether HOLD is of use: something moves or is held, or a program on the mill can continue. */
+/** Whether HOLD has an effect: something moves or is held, or a program on the mill can continue. */
 export function isLive(machine) {
   return ["run", "holding", "held", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
 }

@@ -9,7 +9,7 @@ import { shape } from "../lib/state.js";
 import { enable } from "./order_controls.js";
 import { refusalOf } from "./words.js";
 
-const REST_MS = 1000; // during which a new button ignores presses: they were meant for the button before it
+const REST_MS = 1000; // for which a new button ignores presses: they were meant for the button before it
 const SHOWN_MS = 2000; // for which a card is framed when it is shown
 const SHORT = 60; // most letters of a refusal that fit into the line
 const NONE = { brief: "", whole: "" };
@@ -94,7 +94,7 @@ export function next(link, cards, presses) {
   };
 }
 
-/** Scroll it into view, under no bar, and focus its first control. */
+/** Scroll the card into view, not under a bar, and focus its first control. */
 function reveal(found) {
   const card = found?.querySelector(".checklist") ?? found; // the list that has to be ticked off
   card?.scrollIntoView({ block: "start" });

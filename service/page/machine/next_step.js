@@ -19,14 +19,14 @@ const OFF = { label: t("Spindle off"), what: "spindle", body: { on: false } };
 const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
-const IN_DOUBT_TICKED = { false: t("From this zero the program may not fit the travel: set another zero, or start it."), true: t("So high it may not fit the travel: load it less high, or start the dry pass.") };
+const IN_DOUBT_TICKED = { false: t("From this zero the program may not fit the travel: set another zero, or start it."), true: t("At this height it may not fit the travel: load it lower, or start the dry pass.") };
 const RAISE_MM_PER_MIN = 500;
-const [CLEAR_MM, UP_MM] = [1, 5]; // over the block, when a program may start; as far as one press goes
+const [CLEAR_MM, UP_MM] = [1, 5]; // height over the block from which a program may start; one press raises the tool so far
 const NAME = 28; // letters of a job's name
 
 /**
  * {step, kind, words, trouble, act, go, bars}: words of the step; trouble: what is wrong, where something is; act:
- * the order of its button, or `press`: the button of a card that it stands for; other: the other answer where it asks; go: the card that it is done in; bars: why no program may start or go on before it is done,
+ * the order of its button, or `press`: the button of the card that it presses; other: the other answer if it is a question; go: the card for the step; bars: why no program may start or go on before it is done,
  * "" if one may. load: the `facts` of the card "Load a program", ticked: all of the list, named: by whom, byHand: a hand finishes the milled lens.
  */
 export function findNextStep(link, { load = {}, ticked = false, named = true, byHand = false } = {}) {
@@ -99,7 +99,7 @@ function findSetupStep(link, load, { ticked, named, byHand }) {
   const { machine, run, before } = link;
   if (!run?.open) return findLoadStep(run, load, byHand);
   if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
-  if (run.state !== "parked") return makeStep("wait", t("see what is said of the program."), { go: "program" });
+  if (run.state !== "parked") return makeStep("wait", t("read the message about the program."), { go: "program" });
   const doubt = run.travel_in_doubt && isZeroSet(machine, run, before) && { words: ticked || isDry(run) ? IN_DOUBT_TICKED[isDry(run)] : IN_DOUBT, kind: "warn", whole: true };
   const foreign = findForeignAxes(machine, run, before);
   const place = findPlaceStep(link, foreign);
@@ -133,7 +133,7 @@ function findZeroStep(machine, setup, foreign) {
   if (!isPlaced(machine.mill)) return null;
   if (!isZeroKnown(machine, "XY")) return findCornerStep(machine, setup);
   const toolStays = !foreign && setup.change && setup.change.from_radius_mm === setup.change.to_radius_mm;
-  const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has; this one is for another tool or block
+  const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has one; this one is for another tool or block
   if (!ended && !foreign.includes("Z") && isZeroKnown(machine, "Z")) return null;
   return findTopStep(machine, ended && setup.change ? t`change to ${ball(setup.tool.radius_mm)}, then ` : "");
 }
@@ -177,7 +177,7 @@ function doneWords({ job_name: name }, byHand) {
   return name ? t`the lens of ${cutName(name)} is milled: take it out, or load another program.` : t("the lens is milled: take it out, or load another program.");
 }
 
-/** {kind, wrong, next, more, step} or null if nothing is; more: details on demand. step: the next step, if a button does it. */
+/** {kind, wrong, next, more, step}, or null if nothing is wrong; more: details on demand. step: the next step, if a button does it. */
 export function troubleOf(link) {
   const { machine, run, away, gone } = link;
   if (gone) return makeTrouble("bad", sentence(gone), t("go back to the list of machines."));
@@ -209,7 +209,7 @@ function troubleOfMill({ mill, run, profile }) {
   }
 }
 
-/** One that was only switched on has nothing wrong. */
+/** Nothing is wrong with a mill that was only switched on. */
 function makeLockedTrouble(mill, run, profile) {
   const { brief, whole } = millWords(mill);
   const homes = profile?.homing !== false;

@@ -1,5 +1,5 @@
 /**
- * Browser notifications for a person who looks elsewhere while a mill cuts: it needs a hand, waits for a tool, is done.
+ * Browser notifications for a person who does not watch the page while a mill cuts: it needs a hand, waits for a tool, is done.
  * Permission is asked for at a press, and nothing is shown while this page is visible.
  */
 

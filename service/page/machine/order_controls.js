@@ -1,7 +1,7 @@
 /**
- * What stands beside controls that give orders: a line with the reason why the last order was refused, and a question in its
- * place on the screen, because a dialog would lie over HOLD and STOP. guardedButton("Unlock", {words, yes, act}) is a button that
- * becomes the question; the harmless answer has the focus.
+ * Parts beside controls that give orders: a line with the reason why the last order was refused, and a question in
+ * place of the control, because a dialog would lie over HOLD and STOP. guardedButton("Unlock", {words, yes, act}) is a
+ * button that becomes the question; the harmless answer has the focus.
  */
 
 import { h, replace, write } from "../lib/dom.js";
@@ -14,7 +14,7 @@ export function refusalLine() {
   return {
     node,
     clear,
-    /** Run an order and show in sight why it was refused, until the next one. True if it was accepted. */
+    /** Run an order; if it is refused, show the reason in view until the next one. True if it was accepted. */
     async run(order) {
       clear();
       try {

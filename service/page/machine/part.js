@@ -122,7 +122,7 @@ function fitScale(canvas, { block }) {
   return { k, dense, x: (mm) => left + k * mm, y: (mm) => low - k * mm };
 }
 
-/** A ring as wide as the tool with a cross in it, red only where nobody is sure of its place; at the rim of the picture where the tool is beside the part. */
+/** A ring as wide as the tool with a cross in it, red only if its place is not certain; at the rim of the picture if the tool is beside the part. */
 function drawTool(canvas, { k, dense, x, y }, { radius }, mill) {
   const [px, py] = mill?.work_mm ?? [];
   if (!Number.isFinite(px)) return;

@@ -1,7 +1,7 @@
 /**
- * The coarse level of a pass's path, drawn once faintly and then, as lines are cut, over it: as a line, or, by a pass
- * that makes the lens, as wide as its ball in the colours of the lens's heights. What was drawn is kept in a picture of
- * its own, so that a new position costs no more than the lines since the last one.
+ * Draws the coarse level of a pass's path: once faintly, then over it the lines that are cut. A pass that makes the
+ * lens is drawn as wide as its ball, in the colours of the lens's heights; others as a line. The result is kept in a
+ * separate picture, so that a new position costs only the lines since the last one.
  */
 
 const POINT = 4; // numbers of a point in the file: shares of x, y, z and time with two bits
@@ -21,7 +21,7 @@ export class PathSketch {
   }
 
   /**
-   * path: a PathFile whose coarsest level is there; name: of the program of it that runs; lens: {picture, x0, y0, dx, dy},
+   * path: a PathFile whose coarsest level is there; name: of the pass's program that runs; lens: {picture, x0, y0, dx, dy},
    * a canvas of its nodes with the highest y on top, where this pass makes it.
    */
   take(path, name, lens) {
@@ -31,7 +31,7 @@ export class PathSketch {
     this.drawn = "";
   }
 
-  /** Everything under the tool. done: {line, whole}, the last line of this program that is cut, or all of it. */
+  /** Everything under the tool. done: {line, whole}, the last line of this program that is cut, or whether all of it is. */
   draw(canvas, scale, scene, done) {
     const colours = coloursOf(canvas);
     const now = [canvas.width, canvas.height, scale.k, colours.cut, Boolean(this.points)].join();

@@ -1,8 +1,8 @@
 /** Conclusions from the position: is the work zero known, is the tool in the block, how far may it go. Pure. */
 
 const SMALL_MM = 0.0005; // half a digit of the readout
-const CORNER_MM = 5; // how far homing pulls off, at most
-const EDGE_MM = 2; // that a long step keeps from the end of travel
+const CORNER_MM = 5; // most that homing pulls off
+const EDGE_MM = 2; // distance that a long step keeps from the end of travel
 const LONG_MM = 20;
 const AXES = "XYZ";
 
@@ -14,7 +14,7 @@ export function isZeroKnown({ mill }, axes) {
 }
 
 /**
- * Axes whose zero is of a block before this one: set before the last program began, which this one does not go on after.
+ * Axes whose zero belongs to an earlier block: it was set before the last program began, and this program does not follow that one.
  * before: the run of that program, null if there is none.
  */
 export function findForeignAxes({ mill }, run, before) {
@@ -63,7 +63,7 @@ export function isAtHome({ mill, profile }, axes) {
 
 /**
  * A step as far as the machine goes. Machine coordinates run from -travel to 0 after homing; where they do not, or the
- * mill was never homed, the controller alone knows. A short step is always as it was asked for.
+ * mill was never homed, only the controller knows. A short step is never changed.
  */
 export function withinTravel({ mill, profile }, by_mm) {
   const travel = profile?.homing && mill?.position_trusted && isPlaced(mill) ? profile.travel_mm : null;

@@ -74,7 +74,7 @@ const MEAN = 8; // reports
 const [WIDE, HIGH] = [120, 28];
 
 /**
- * {node, add(value), mean()}; most: the top of the plot, 0: the most that was seen. null ends it: it is not shown then. mean: of
+ * {node, add(value), mean()}; most: the top of the plot, 0: the greatest value so far. null ends the plot and hides it. mean: of
  * the last reports, for between two short lines a mill may stand for a moment, a fast simulated one every second time.
  */
 export function sparkline(name, most) {

@@ -68,7 +68,7 @@ export function recover(link) {
     showFirst();
   }
 
-  /** The tool in the block is no reason for the plan, which begins by raising it; it is for a person at the mill. */
+  /** The first steps. A tool in the block is no obstacle to the plan, which begins by raising it, but a person at the mill must know. */
   function showFirst() {
     const again = h("button", { type: "button", onclick: ask }, t("Look again"));
     const now = step(t("Do this first"), plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);
@@ -104,7 +104,7 @@ export function recover(link) {
         raise = low;
         if (plan) showFirst();
       }
-      const settled = asked === answered && !link.busy; // or a tick would be gone with the plan it was given for
+      const settled = asked === answered && !link.busy; // or a tick would vanish with the plan that it belongs to
       list?.update(whyNot(link) || bars, nextStep.step === "recover", settled);
       const why = whyNot(link, STANDS, { besideRun: true });
       enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
@@ -116,7 +116,7 @@ function step(title, done, ...content) {
   return h("li", { class: done ? "done" : "" }, h("h3", {}, title, " ", done && mark("good", t("done"))), content);
 }
 
-/** What must be done before it can go on, each with the button that does it, where there is one. */
+/** The steps that must be done before it can go on, each with its button, if there is one. */
 function needs(link, plan, { raise, words }) {
   const codes = plan.needs.map(({ code }) => code);
   const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [describe(need).whole, remedy(link, need.code, words, codes)]);
@@ -140,10 +140,10 @@ function remedy(link, code, words, codes) {
   return h("div", { class: "row" }, home(), trust.node);
 }
 
-/** The work zero that the program was cut at, where it is another one now. */
+/** The work zero at which the program was cut, if it is another one now. */
 function zeroRow(link, plan, words) {
   const needed = plan.needs.find((need) => need.code === "zero");
-  const back = () => words.run(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
+  const back = () => words.run(() => link.order("block", { text: plan.zero_back, confirm: true })); // the button states it in words
   if (plan.zero_back) return [[t("The work zero is not where the program was cut."), h("button", { type: "button", onclick: back }, t("Put the zero back"))]];
   return needed ? [[describe(needed).whole, null]] : [];
 }

@@ -25,7 +25,7 @@ export function runCard(link) {
   let list = null;
   let frame = null;
   let idle = true;
-  let setup = ""; // what the start rests on, as the mill said when the list was last without a tick
+  let setup = ""; // `setup` of the mill, on which the start depends, as reported when the list last had no tick
 
   async function start(given) {
     try {
@@ -38,7 +38,7 @@ export function runCard(link) {
 
   let byHand = ""; // the run after which a hand finishes the lens
   const isByHand = (run) => ((byHand = run.id), link.changed());
-  let zeroed = ""; // the run that every zero was set for: what is said of it then stays, and Start keeps its place
+  let zeroed = ""; // the run for which every zero was set: its messages then stay, and Start keeps its place
   const isZeroed = (run) => {
     if (!link.machine?.mill || isZeroSet(link.machine, run, link.before)) zeroed = run.id;
     return zeroed === run.id;
@@ -68,7 +68,7 @@ export function runCard(link) {
       node.hidden = !run;
       if (!run) return;
       const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words} ${isZeroed(run)}`;
-      if (!shown.startsWith(run.id)) words.clear(); // it was said of another run
+      if (!shown.startsWith(run.id)) words.clear(); // the message was about another run
       if (now !== shown) fill(run);
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
@@ -152,13 +152,13 @@ function dryNote(run) {
 }
 
 function notes(run, zeroed) {
-  const own = ["interrupted", "aborted"].includes(run.state) ? "" : describe(run).whole; // said above, with what to do
+  const own = ["interrupted", "aborted"].includes(run.state) ? "" : describe(run).whole; // shown above, with what to do
   const kind = RUN_STATES[run.state]?.[0] === "bad" ? "bad" : "warn";
   const notice = own && h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, own));
   return [notice, run.state === "parked" || (run.state !== "finished" && run.warnings?.length) ? warningsNode(run, zeroed) : null];
 }
 
-/** All warnings in one line that is there without any, too; unfolded by who wants to know. */
+/** All warnings in one line, which is there even without any; a person can unfold it. */
 function warningsNode({ warnings = [], travel_in_doubt: travel, state }, zeroed) {
   if (!zeroed && (travel || !warnings.length)) return h("p", { class: "warned dim" }, t("Whether it fits the travel is known once X, Y and Z are set."));
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), t("No warnings"));
@@ -166,14 +166,14 @@ function warningsNode({ warnings = [], travel_in_doubt: travel, state }, zeroed)
   return h("details", { class: "warned warn", open: travel && state === "parked" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text).replaceAll(/(?<!\w)-(?=\d)/g, "−")))));
 }
 
-/** What becomes of the spindle in a hold, and without the computer: to be known before one walks away. */
+/** What the spindle does in a hold and without the computer: a person should know it before walking away. */
 function aboutSpindle(run, profile) {
   const words = profile?.spindle?.words ?? [];
   if (!run.open || !words.length) return null;
   return h("details", { class: "warned" }, h("summary", {}, t("What the spindle does on HOLD or if the computer fails")), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
 }
 
-/** The outline of the program at a safe height: where it will be cut is seen before anything is. */
+/** The outline of the program at a safe height: it shows where the program will cut before it does. */
 function frameButton(link, words) {
   return guardedButton(t("Frame the job"), {
     words: t("The tool goes up to the safe height, then once around the outline of the program, and cuts nothing. Is the way free?"),

@@ -103,7 +103,7 @@ const unansweredWords = ({ seconds }) => (seconds ? t`The computer beside the mi
 
 const fault = (cause) => ({ detail }) => sentence(`${cause}: ${detail}`);
 
-/** By code: a sentence, or a function of the values that makes it; {brief, whole} if a line has no room for all of it, with `parts`: the folded rest. */
+/** By code: a sentence, or a function of the values that makes it; {brief, whole} if a line has no room for the whole, with `parts`: the folded rest. */
 const SENTENCES = {
   // an order that was refused
   grant_missing: t("Not carried out: the mill had not granted this order. Press again."),

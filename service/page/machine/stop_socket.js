@@ -7,7 +7,7 @@ import { api, ProblemError } from "../lib/api.js";
 import { translate } from "../lib/language.js";
 import { at } from "../lib/root.js";
 
-const SILENCE_MS = 13_000; // the server says something every 5 s
+const SILENCE_MS = 13_000; // the server sends something every 5 s
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8000;
 const NOT_FOR_US = 4401;
@@ -18,7 +18,7 @@ export class StopSocket {
     this.ready = false;
     this.number = 0;
     this.waiting = new Map(); // number of a stop -> {resolve, reject}
-    this.token = null; // that the server has been shown
+    this.token = null; // token that the server has seen
     this.fails = 0;
     this.timer = 0;
     this.stopListening = api.onWho(() => api.token !== this.token && this.open());
@@ -74,7 +74,7 @@ export class StopSocket {
     else stop.reject(new ProblemError(0, message.detail, message));
   }
 
-  /** A connection that broke says nothing of it for minutes. */
+  /** A broken connection may go unnoticed for minutes. */
   watch() {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.lose(0), SILENCE_MS);
@@ -82,7 +82,7 @@ export class StopSocket {
 
   lose(code) {
     this.drop("The way for stops broke.");
-    if (this.closed || code === NOT_FOR_US) return; // until this page is somebody else
+    if (this.closed || code === NOT_FOR_US) return; // until this page has another token
     this.timer = setTimeout(this.again, Math.min(LONGEST_WAIT_MS, FIRST_WAIT_MS * 2 ** this.fails));
     this.fails += 1;
   }

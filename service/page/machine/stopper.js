@@ -7,7 +7,7 @@ import { refusal, stands } from "./words.js";
 const OTHER_WAY_MS = 300; // a stop without an answer by then is also sent as a request
 const STOP_ANSWER_MS = 6000;
 const BEHIND_MS = 1000;
-const LOST_MS = 1000; // a request whose server died with it is sent once more up to then: another takes it at once
+const LOST_MS = 1000; // until then, a request that died with its server is sent once more: another server takes it
 const BUTTON = t("Use the stop button on the mill itself.");
 
 export class Stopper {
@@ -16,13 +16,13 @@ export class Stopper {
     this.name = name;
     this.socket = socket;
     this.words = ""; // shown for a stop that did not arrive
-    this.lost = false; // whether the mill was out of reach since
+    this.lost = false; // whether the mill has been out of reach since then
     this.run = ""; // the run that was on the mill then
-    this.answered = { count: 0, until: 0 }; // of the last stop, and how long what else is heard may be behind that
+    this.answered = { count: 0, until: 0 }; // the count after the last stop; until when other messages may lag behind it
     this.aborts = 0; // how often STOP was pressed
   }
 
-  /** hold, abort or jog-cancel. True if it was taken. machine: as it is known; away: nothing is heard of it. */
+  /** hold, abort or jog-cancel. Return true if the mill took it. machine: its last known state; away: no messages come from it. */
   async stop(what, machine, away) {
     try {
       await this.send(what);
@@ -36,7 +36,7 @@ export class Stopper {
     }
   }
 
-  /** That a stop did not arrive is said until the mill is seen to stand, or is within reach again, or runs another program. */
+  /** Show that a stop did not arrive until the mill is seen to stand, is within reach again, or runs another program. */
   see(machine) {
     const { agent, mill, run } = machine;
     if (!this.words) return;
@@ -50,8 +50,8 @@ export class Stopper {
   }
 
   /**
-   * Both ways, the second where the first one does not answer at once: a stop that comes twice does no harm. Where STOP
-   * was pressed since it is not said again: a HOLD that comes after it would hold a mill that has been cleared.
+   * Send a stop by both ways, by the second only if the first does not answer at once: a stop that arrives twice does
+   * no harm. After a later STOP nothing is sent again: a HOLD behind it would hold a mill that has been cleared.
    */
   send(what) {
     if (what === "abort") this.aborts += 1;

@@ -24,7 +24,7 @@ import { timelapse } from "./timelapse.js";
 import { hasLiveRun, standing } from "./words.js";
 import { zeroDrawing } from "./zero_drawing.js";
 
-const REST_MS = 1000; // that what has come to another place rests: the press was meant for what was there
+const REST_MS = 1000; // time for which moved controls ignore presses: the press was meant for the control that was there before
 
 export default async function view(root, params, app) {
   await sheet("/page/machine/machine.css");
@@ -93,7 +93,7 @@ function arrange({ machine, run }, { jog, setup, load, overrides, recover }) {
 
 /**
  * When a run begins or ends the screen is another one: it is shown from its top, and for a moment nothing on it but HOLD
- * and STOP can be pressed. The answer to an order may come before or after what the mill says.
+ * and STOP can be pressed. The answer to an order may come before or after the mill's report.
  */
 function turning(screen) {
   let before = "";

@@ -1,9 +1,9 @@
 /**
  * Steps of the jog that add up: a press while the step before is under way waits here, and all that wait in one direction
- * go as one order when that step has ended. What waits belongs to the control and the count of stops of its press, so
- * the mill itself refuses it after a stop that this page has not heard of.
+ * go as one order when that step has ended. A waiting step carries the control and the stop count at its press, so the
+ * mill itself refuses it after a stop that this page does not know about.
  *
- * Everything that waits is dropped at once, and said, when anything but an ended step comes between: a stop, a refusal, a
+ * All waiting steps are dropped at once, and the page says so, when anything but the end of a step comes between: a stop, a refusal, a
  * step that ended elsewhere, a lost mill, the end of control, a page out of sight, or time.
  */
 
@@ -19,7 +19,7 @@ const REACHED_MM = 0.02; // a step of a coarse mill
 const TINY_MM = 1e-9;
 const AXES = "XYZ";
 
-/** send(by_mm, feed, given): order a jog as of a press; true if it was taken. changed: what waits is another. */
+/** send(by_mm, feed, given): order a jog with the time of its press; true if it was taken. changed: called when the waiting steps change. */
 export class WaitingSteps {
   constructor(link, { send, changed }) {
     this.link = link;
@@ -33,7 +33,7 @@ export class WaitingSteps {
   /** A step that was pressed now goes at once, or waits; an Error if it may not wait. */
   async press(by_mm, feed) {
     this.dropped = "";
-    this.update(); // the step before may just have ended, and what waits may have to be dropped
+    this.update(); // the step before may just have ended, and the waiting ones may have to be dropped
     const step = { by_mm, feed, given: this.link.givenNow(), age_ms: stopwatch() };
     if (!this.underWay) return this.go(step);
     if (this.length + Math.hypot(...by_mm) > MOST_WAITING_MM + TINY_MM) {
@@ -45,12 +45,12 @@ export class WaitingSteps {
     this.changed();
   }
 
-  /** How far all that waits goes, mm. */
+  /** Total distance of the waiting steps, mm. */
   get length() {
     return this.waiting.reduce((sum, { by_mm }) => sum + Math.hypot(...by_mm), 0);
   }
 
-  /** What waits in words; "" if nothing does. */
+  /** The waiting steps in words; "" if there are none. */
   get words() {
     return this.waiting.map(({ by_mm }) => wayWords(by_mm)).join(", ");
   }
@@ -76,7 +76,7 @@ export class WaitingSteps {
     this.drop();
   }
 
-  /** The step while it is under way, null after it. If it ended elsewhere, or nobody knows where, nothing follows it. */
+  /** The step while it is under way, null after it. If it ended at another place, or at an unknown one, nothing follows it. */
   follow(step) {
     const { link } = this;
     if (!step.taken || link.busy || whyNot(link) !== "") {

@@ -16,7 +16,7 @@ export function logWords({ kind, words, code, values }) {
   return code ? describe({ code, values, words }).whole : words;
 }
 
-/** Why nothing is known of the mill, and what restores the connection. */
+/** Why the mill's state is not known, and what restores the connection. */
 export function outOfReach({ agent, remote }) {
   const why = describe(agent).whole;
   if (!UNANSWERED.has(agent.code)) return why;

@@ -79,7 +79,7 @@ export function numberInput(label, placeholder) {
   return { node: labelled(label, input), input, read };
 }
 
-/** Says why the server refuses what was sent, and marks the input that the refusal's field ends in; no error: all is well. inputs: by field */
+/** Shows why the server refuses the cutter, and marks the input that the refusal's field names; without an error it clears both. inputs: by field */
 export function showRefusal(said, error, inputs) {
   const named = Object.keys(inputs).find((name) => `.${error?.field}`.endsWith(`.${name}`));
   said.id ||= freshId("fault");

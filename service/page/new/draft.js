@@ -15,7 +15,7 @@ export function keep(file) {
   dropped = file;
 }
 
-/** The file that was kept, once. */
+/** The kept file; it can be fetched once. */
 export function take() {
   const file = dropped;
   dropped = null;

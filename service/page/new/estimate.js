@@ -20,10 +20,10 @@ const SLOW_MS = 4000;
 const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
- * {ask(), stop(), forget(), settled}. What has been worked out exactly is not asked again, until `forget`. make(): the form to send, null if there is nothing to ask yet; make({exactly: true}): with the picture that a job gets, so that both share a plan. onState({kind, ...}): "none"
+ * {ask(), stop(), forget(), settled}. An exact answer is not requested again until `forget`. make(): the form to send, null if there is nothing to ask yet; make({exactly: true}): with the picture that a job gets, so that both share a plan. onState({kind, ...}): "none"
  * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`first`: a first look, an exact answer
  * follows where nothing is asked meanwhile; `after`: the first look that it replaces), "problems" with `problems`,
- * "fault" with `words`, "absent" no such service. settled: an estimate is known of what was asked last. A first look
+ * "fault" with `words`, "absent" no such service. settled: the last request has its estimate. A first look
  * comes within a second; its hours are about right, its PSNR and detail may be off by some dB.
  */
 export function estimator({ make, onState }) {
@@ -107,7 +107,7 @@ export function estimator({ make, onState }) {
   };
 }
 
-/** The estimate as a person reads it; first: of a first look only what holds. */
+/** The estimate for a person; first: a first look, of which only the reliable figures are shown. */
 function estimateWords(estimate, first) {
   return h(
     "div",
@@ -136,7 +136,7 @@ function estimateWords(estimate, first) {
   );
 }
 
-/** "ball R 3 (Ø 6 mm)", as the server says it, in one piece. */
+/** "ball R 3 (Ø 6 mm)", as the server writes it, without line breaks. */
 function toolWords(tool) {
   return tool.replaceAll(/(?<=Ø) | (?=mm)/g, "\u00a0");
 }

@@ -1,10 +1,10 @@
 /**
- * The keys of the job spec as rows of the form, from the JSON schema that the server checks a spec by. A new key has its
- * row without a word here; what stands on the row is said beside the key (service/job/spec/section.py).
+ * The keys of the job spec as rows of the form, from the JSON schema by which the server checks a spec. A new key gets
+ * its row without a change here; the words of the row stand beside the key (service/job/spec/section.py).
  *
  * A row is {key, label, kind, usual} and more. kind: "number", "whole" (number), "choice", "tick", "text", or "numbers"
- * (one for each of `names`). usual: what counts where the field is empty; a text where the server works it out. hint,
- * unit, limits: words. choices: [value, words, sentence]. when(spec): the row is there only then. The others are those
+ * (one for each of `names`). usual: the value if the field is empty; a text if the server computes it. hint,
+ * unit, limits: words. choices: [value, words, sentence]. when(spec): the row is shown only then. The others are those
  * of `FieldLook` in that file.
  */
 
@@ -73,7 +73,7 @@ function kindOf(schema, inner) {
   return KINDS[inner.type] ?? null;
 }
 
-/** [value, words, sentence]: those with words first, then the others that are allowed; nothing is one where it may be. */
+/** [value, words, sentence]: those with words first, then the other allowed values, including "nothing" if it is allowed. */
 function choicesOf(schema, inner) {
   const worded = schema.form?.choices ?? schema.oneOf ?? (inner.type === "boolean" && isOptional(schema) ? YES_NO : []);
   const others = (inner.enum ?? []).filter((value) => !worded.some((one) => one.const === value));

@@ -16,14 +16,14 @@ const OTHERS = {
   kind: "json",
 };
 const OWN = ["machine.profile", "stock.thickness_mm", "finish.process"];
-const ONE_OPEN = "causticmill-settings"; // of folds of one name one is open
+const ONE_OPEN = "causticmill-settings"; // of the folds with one name, one is open
 const GREYED = ["main", "mill"]; // cards whose rows stay in their places
 const PLANNED_ONLY = t("Only “Recommended” can keep to that.");
 
 /**
- * {own, main, picture: elements, own of what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
+ * {own, main, picture: elements; own: what a person has; settings: element with all others; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
- * as the server describes them; last: a row that is no part of the spec.
+ * as the server describes them; last: a row that is not part of the spec.
  */
 export function specForm({ profiles, onChange, planned, last }) {
   const changed = () => {
@@ -188,7 +188,7 @@ function safely(read) {
 }
 
 /**
- * {element, update(spec)}: groups, {title, keys of the spec, content}, of which one is unfolded; while a person searches, all that have what is wanted.
+ * {element, update(spec)}: groups, {title, keys of the spec, content}, of which one is unfolded; during a search, all groups with matches.
  * update: each says how many of its keys differ from the usual.
  */
 function allSettings(groups) {

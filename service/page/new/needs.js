@@ -28,7 +28,7 @@ export function showNeeds(section, estimate) {
   replace(section, title, h("ul", { class: "shopping" }, rows.map(line)));
 }
 
-/** The block with its margin and with what is faced off; has: whether the person's own is large enough, where its size is stated. */
+/** The block with its margin and the stock that is faced off; has: whether the person's own is large enough, if its size is stated. */
 function blockOf({ spec }) {
   const at = (key) => valueOf(spec, key), around = 2 * at("stock.margin_mm");
   const sides = [at("optics.width_mm") + around, at("optics.height_mm") + around], thick = at("stock.thickness_mm") + (spec.stock?.face?.above_mm ?? 0);

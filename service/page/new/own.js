@@ -15,7 +15,7 @@ const OWN = "causticmill-own", BLOCK = "causticmill-block"; // of this browser
 const OWN_KEYS = ["machine.profile", "stock.thickness_mm", "stock.material", "finish.process", "optics.light", "optics.throw_mm"];
 const SIZE = { key: "block", label: t("Length and width of the block"), kind: "numbers", names: [t("length"), t("width")], unit: "mm", usual: null, limits: "" };
 
-/** The usual job, for what the person had in the last one. */
+/** The usual job, with what the person had in the last one. */
 export function startSpec(profiles) {
   const own = JSON.parse(localStorage.getItem(OWN) ?? "{}"), isKnown = profiles.some(({ name }) => name === own["machine.profile"]);
   const spec = structuredClone({ ...START, machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
@@ -23,7 +23,7 @@ export function startSpec(profiles) {
   return spec;
 }
 
-/** Keep it; of a job with passes of its own only what does not depend on the way of planning. */
+/** Keep it; for a job with its own passes, keep only the values that do not depend on the way of planning. */
 export function keepOwn(spec) {
   const keys = OWN_KEYS.filter((key) => (key !== "finish.process" || spec.preset === START.preset) && !valueAt(spec, `${key}.profile`));
   localStorage.setItem(OWN, JSON.stringify(Object.fromEntries(keys.map((key) => [key, valueAt(spec, key)]))));

@@ -10,7 +10,7 @@ export const FIRST = [
   { name: "finish", radius_mm: 3, pitch_mm: 0.1 },
 ];
 
-/** {key, element, rows(), read(faults), show(passes)}. known(): the passes that would be milled otherwise, where known. */
+/** {key, element, rows(), read(faults), show(passes)}. known(): the passes that would be milled without them, if known. */
 export function passes({ onChange, known }) {
   let cards = [];
   const list = h("ol", { class: "passes" });
@@ -60,7 +60,7 @@ export function passes({ onChange, known }) {
     return read([]) ?? [];
   }
 
-  /** The passes, undefined if they follow from the preset; what cannot be read goes to faults as {row, words}. */
+  /** The passes, undefined if they follow from the preset; unreadable values go to faults as {row, words}. */
   function read(faults) {
     if (!byHand.checked) return undefined;
     return cards.map(({ rows }) => {

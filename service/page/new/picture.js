@@ -1,13 +1,13 @@
 /**
  * The picture of a new job, and what a person does to it: turn, mirror, choose a part, change tones.
  *
- * All of it happens here, at the picture's full size; a picture that nobody touched is sent as the very file it was,
- * with all its bits. Coordinates are pixels of the picture as turned and mirrored, (0, 0) at its upper left.
+ * All of it happens here, at the picture's full size; an unchanged picture is sent as the original file, with all its
+ * bits. Coordinates are pixels of the picture as turned and mirrored, (0, 0) at its upper left.
  */
 
 
-const PROXY_SIDE = 2048; // what the preview is drawn from
-const MOST_SIDE = 4096; // of what is sent
+const PROXY_SIDE = 2048; // the copy for the preview
+const MOST_SIDE = 4096; // of the picture that is sent
 const SENDABLE_PIXELS = 36e6;
 const SENDABLE_BYTES = 48e6;
 export const MOST_ZOOM = 12;
@@ -62,7 +62,7 @@ export function partOf(picture, edits, { aspect, fit }) {
   };
 }
 
-/** The edits with their centre where the part really lies, so that no drag has to be undone before one shows. */
+/** The edits with their centre at the real place of the part, so that no earlier drag beyond the edge has to be undone first. */
 export function clampEdits(picture, edits, screen) {
   const [width, height] = sizeOf(picture, edits);
   const part = partOf(picture, edits, { ...screen, fit: "crop" });

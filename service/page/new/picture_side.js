@@ -15,7 +15,7 @@ const HOW = t("drag to choose the part, pinch or + and − to zoom");
 
 /**
  * {element, tools, begin({picture, edits, name, file}), has(), forget(), show(estimate, first), blame(words), fault(), focus(), sent(),
- * draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; plans: what stands below both pictures; onChange(): something else is to be sent;
+ * draft()}: the two pictures, and the tools to change them. spec(): the content of the form; values: its rows that belong to the picture; plans: the element below both pictures; onChange(): the content to send has changed;
  * onOpening(name): a picture is being read, which may take a moment.
  */
 export function pictureSide({ spec, values, plans, onChange, onOpening }) {
@@ -84,7 +84,7 @@ export function pictureSide({ spec, values, plans, onChange, onOpening }) {
     for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
   }
 
-  /** The settings have changed: the last light is not theirs. */
+  /** The settings have changed: the last light no longer belongs to them. */
   function forget() {
     Object.assign(now, { estimate: null, light: null });
     write(wallNote, NOT_YET);

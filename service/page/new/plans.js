@@ -1,4 +1,4 @@
-/** Plans beside each other as walls: what each shows, how long the mill and the hand need for it, how alike it is. */
+/** Plans side by side as walls: the picture of each, its time on the mill and by hand, and its likeness. */
 
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -9,9 +9,9 @@ import { same } from "./spec.js";
 const WAITS = [null, null, null]; // places for the plans that an exact estimate brings
 
 /**
- * {element, show(estimate, first), forget(), restore(spec), figures(), spec()}. figures: those of an estimate that the
- * chosen plan has others of; spec: the values that select it, null for the planner's own choice. onPick(): a person
- * chose another plan.
+ * {element, show(estimate, first), forget(), restore(spec), figures(), spec()}. figures: the chosen plan's own, in
+ * place of the estimate's; spec: the values that select it, null for the planner's own choice. onPick(): a person chose
+ * another plan.
  */
 export function planChoice({ onPick }) {
   const list = h("div", { class: "walls" });
@@ -31,7 +31,7 @@ export function planChoice({ onPick }) {
     if (rows !== WAITS || !list.childElementCount) replace(list, rows.map((plan, k) => tile(plan, rows.length - 1 - k)));
   }
 
-  /** fromEnd: 0 for the last of them. */
+  /** fromEnd: 0 for the last plan. */
   function tile(plan, fromEnd) {
     const take = () => ((now.taken = plan), (now.wanted = valuesOf(plan)), onPick());
     const input = h("input", { type: "radio", name: "plan", checked: plan !== null && plan === now.taken, onchange: take });
@@ -45,7 +45,7 @@ export function planChoice({ onPick }) {
   return {
     element,
     show,
-    /** The settings have changed: these plans are not theirs. */
+    /** The settings have changed: these plans no longer belong to them. */
     forget() {
       Object.assign(now, { plans: [], taken: null, wanted: null });
       element.disabled = true;

@@ -6,7 +6,7 @@ import { isTable, numberOf } from "./spec.js";
 
 /**
  * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}; a select has offer(value, on), too.
- * read() gives the value, undefined if the usual counts; TypeError, with words for the person, if it is not a value.
+ * read() gives the value, undefined for the usual one; TypeError, with a message for the person, if it is not a value.
  * show(undefined) shows the usual. onChange() is called on every change a person makes.
  */
 export function row(field, { onChange, key = field.key }) {
@@ -42,7 +42,7 @@ export function row(field, { onChange, key = field.key }) {
   return { element, key, field, read: input.read, show: input.show, offer: input.offer, blame, disable, focus: () => input.controls[0].focus() };
 }
 
-/** The value of a row; what cannot be read goes to faults as {row, words}. */
+/** The value of a row; an unreadable one goes to faults as {row, words}. */
 export function readRow(row, faults) {
   try {
     return row.read();

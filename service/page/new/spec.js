@@ -45,7 +45,7 @@ export function same(one, other) {
   return JSON.stringify(one) === JSON.stringify(other);
 }
 
-/** The text of a number as people type it: "12,5" is 12.5. NaN if it is none. */
+/** The text of a number as people type it: "12,5" is 12.5. NaN if it is not a number. */
 export function numberOf(text) {
   const plain = text.trim().replace(",", ".");
   return /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i.test(plain) ? Number(plain) : NaN;

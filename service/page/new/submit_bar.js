@@ -17,7 +17,7 @@ const MAKE = t("Make the lens");
 const MOST_NAMED = 3; // problems that are named beside the button
 const WAITS = t("The server does not answer. The job is sent as soon as it does; leave this page open.");
 
-/** The row of the turn in the queue, which is no part of the spec. */
+/** The row of the turn in the queue, which is not part of the spec. */
 export function priorityRow() {
   return row(PRIORITY, { onChange: () => {} });
 }

@@ -78,7 +78,7 @@ function lateCard(title, load) {
   return card;
 }
 
-/** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), keep(), leave()}. forMore: a person comes to see what shows more. */
+/** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), keep(), leave()}. forMore: the person comes to see which changes show more. */
 function newJob(profiles, app, withMills) {
   const now = { estimate: null, first: false, sent: false, problems: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
   const address = location.hash;
@@ -180,7 +180,7 @@ function newJob(profiles, app, withMills) {
     if (state.kind !== "busy") now.forMore = false;
   }
 
-  /** What would show more; the first look stays what others are compared with. */
+  /** Changes that would show more; all are compared with the first look. */
   async function suggest({ estimate, after = estimate }, focus) {
     const { improvements } = await import("./improve.js");
     if (now.estimate !== estimate) return;
@@ -262,7 +262,7 @@ function bothOf(estimated, refused) {
   return [...estimated, ...refused.filter(({ detail }) => !known.has(detail))];
 }
 
-/** Enter, on a phone the keyboard's Go, ends a field; a job is begun by its button alone. */
+/** Enter (Go on a phone's keyboard) ends a field; only the button starts a job. */
 function leaveField({ key, target, isComposing }) {
   if (key === "Enter" && ["text", "number"].includes(target.type) && !isComposing) target.blur();
 }

@@ -1,6 +1,6 @@
 /**
- * The picture and the light that the wall will show of it, side by side; until that light is known, the picture. Either is where the part of the picture is
- * chosen, too: drag it, pinch it, use the wheel, or the arrow keys with + and -.
+ * The picture and its light on the wall, side by side; until that light is known, the picture in its place. Both also
+ * select the part of the picture: drag, pinch, use the wheel, or the arrow keys with + and -.
  */
 
 import { h } from "../lib/dom.js";
@@ -40,7 +40,7 @@ export function wall({ state, onEdit }) {
     onEdit(clampEdits(picture, { ...wanted, zoom: Math.min(MOST_ZOOM, Math.max(1, wanted.zoom)) }, screen));
   }
 
-  /** Moves the part by shares of itself, seen from the part: the picture moves the other way. */
+  /** Moves the part by shares of its own size; the picture moves in the other direction. */
   function move(across, down) {
     const { picture, edits, screen } = state();
     const [width, height] = sizeOf(picture, edits);

@@ -29,7 +29,7 @@ _log = structlog.get_logger("api")
 
 
 class Follower(Reader):
-    """seen: seq of the last event in its queue; progress: the last that was shown."""
+    """seen: seq of the last event in its queue; progress: the last value that was sent."""
 
     def __init__(self, job_id: str, seen: int) -> None:
         super().__init__(_MOST_WAITING)
@@ -132,7 +132,7 @@ class Feed:
                 follower.seen = event.seq
                 data = compact_json(event.data | {"at": iso_time(event.at)})
                 self._hub.send(Message(event.kind, data, str(event.seq)), [follower])
-                if whole and event.kind == "ended" and event is events[-1]:  # else it was retried since
+                if whole and event.kind == "ended" and event is events[-1]:  # otherwise it has been retried since
                     self._hub.end(follower)
 
     def _hand_progress(self, follower: Follower, now: Progress) -> None:

@@ -96,7 +96,7 @@ def make_view(
 
 
 def etag(job: JobListRow, *, position: int | None, progress: Progress | None) -> str:
-    """Return a tag that changes with everything that the job's body shows."""
+    """Return a tag that changes whenever the job's body changes."""
     share = round(_progress(job, progress) * 10_000)
     return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
 
@@ -129,7 +129,7 @@ def _progress(job: JobListRow, progress: Progress | None) -> float:
 
 
 def _stages(job: Job, runs: Sequence[StageRun]) -> list[StageView]:
-    """Return every stage of the job's plan, with what became of it in this attempt."""
+    """Return every stage of the job's plan, with its result in this attempt."""
     last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
     usual = usual_seconds(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
     whole = sum(usual.values())
@@ -149,7 +149,7 @@ def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> Sta
 
 
 def read_view(services: Services, job: Job) -> JobView:
-    """Return the job with all that the book knows of it."""
+    """Return the job with all its data in the job book."""
     book = services.book
     position = _position(job, book.read_queue_positions()) if job.state is JobState.QUEUED else None
     progress = book.read_news({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None

@@ -48,7 +48,7 @@ class SharedCall(Generic[Result]):
         self._began_s = 0.0
 
     async def result(self, timeout_s: float) -> Result:
-        """Return the result; TimeoutError if the call takes longer, at once where it has done so already."""
+        """Return the result; TimeoutError if the call takes too long, at once if it already has."""
         if self._running is None or self._running.done():
             self._running, self._began_s = Future(), time.monotonic()
             # A daemon: a check that hangs does not keep the process from ending.
@@ -74,11 +74,13 @@ _log = structlog.get_logger("api")
 
 
 class _WrongError(Exception):
-    """A fault, in words that may be shown."""
+    """A fault, with a message that may be shown."""
 
 
 class Readiness:
-    """One for the whole server: a caller that asks while a part is being checked gets the result of that check."""
+    """The readiness check of the whole server: a caller that asks while a part is being checked gets the result of that
+    check.
+    """
 
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store) -> None:
         self._settings = settings
@@ -255,6 +257,6 @@ class MetricsMiddleware:
         await self._app(scope, receive, send_noted)
 
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
-        route = getattr(scope.get("route"), "path", "none")  # never the address itself: there would be endlessly many
+        route = getattr(scope.get("route"), "path", "none")  # never the address itself: there is no end of addresses
         method = scope["method"] if scope["method"] in _METHODS else "other"
         self._metrics.seconds.labels(method, route, str(status)).observe(seconds)

@@ -1,4 +1,4 @@
-"""What the routes work with, at `app.state.services`: made once by main.py, and by tests."""
+"""The services that the routes use, at `app.state.services`: made once by main.py, and by tests."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Services:
     pictures: PictureChecker
     estimates: Estimator
     exact_estimates: Estimator
-    looks: Estimator  # at photographs
+    looks: Estimator  # at photographs: evaluates them in a child process
     feed: Feed
     metrics: Metrics
     readiness: Readiness

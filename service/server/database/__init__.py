@@ -1,1 +1,1 @@
-"""The tables and every change to them: jobs, claims, runs, events, tokens, pairing codes and how many may be tried."""
+"""The tables and every change to them: jobs, claims, runs, events, tokens, pairing codes and the count of tries."""

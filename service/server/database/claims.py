@@ -30,7 +30,7 @@ from service.server.database.tables import artifacts, executors, jobs, progress,
 from service.server.queue.engine import Fenced, Ticket
 
 WORDS_CHARS = 2000
-# Interruptions caused by the worker, not the stage, which do not count as tries.
+# Interruptions caused by the worker, not by the stage; they do not count as tries.
 LOST = "its worker ended, or was not heard of for too long"
 STOPPED = "its worker was stopped"
 
@@ -211,7 +211,7 @@ class WorkBook:
             return int(connection.execute(query).scalar_one())
 
     def read_wishes(self, claims: Iterable[Claim]) -> dict[str, str]:
-        """Return for each job "go", "cancelled" (a person wants it to end) or "fenced" (it is no longer ours)."""
+        """Return for each job "go", "cancelled" (a person has cancelled it) or "fenced" (it is no longer ours)."""
         held = {claim.job.id: claim.fence for claim in claims}
         query = sa.select(jobs.c.id, jobs.c.fence, jobs.c.state, jobs.c.cancel_requested).where(jobs.c.id.in_(held))
         with begin_reading(self._database) as connection:

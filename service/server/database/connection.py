@@ -1,8 +1,8 @@
 """The connection to the database, and the few statements in which SQLite and PostgreSQL differ.
 
 All access is SQLAlchemy Core, the same code for both. Every change is made in `begin_writing`: on SQLite that takes
-the write lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL the changes
-lock the rows they are about.
+the write lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL each change
+locks the rows that it concerns.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def read_counters(connection: sa.Connection) -> dict[Counter, float]:
 
 
 def write_event(connection: sa.Connection, job_id: str, kind: str, data: Mapping[str, Any], *, at: float) -> None:
-    """Write the next event of a job. The caller holds the job's row, so seq has no gaps and no doubles."""
+    """Write the next event of a job. The caller holds the job's row, so seq has no gaps and no duplicates."""
     last = sa.select(sa.func.coalesce(sa.func.max(events.c.seq), 0)).where(events.c.job_id == job_id)
     seq = connection.execute(last).scalar_one() + 1
     connection.execute(events.insert().values(job_id=job_id, seq=seq, at=at, kind=kind, data=dict(data)))
@@ -136,7 +136,7 @@ def claim_key(
 
 
 def find_by_key(connection: sa.Connection, kind: str, key: ClientKey, request_sha256: str) -> str | None:
-    """Return the id of what this key has made. KeyReusedError if it stood for another request."""
+    """Return the id of the job or run that this key has made. KeyReusedError if the key belongs to another request."""
     table = idempotency_keys.c
     mine = sa.and_(table.principal == key.token, table.kind == kind, table.key == key.text)
     row = connection.execute(sa.select(table.request_sha256, table.resource_id).where(mine)).first()
@@ -156,7 +156,9 @@ def lock_job(connection: sa.Connection, job_id: str) -> Job:
 
 
 def change_job(connection: sa.Connection, job: Job, **values: Any) -> None:
-    """Write columns of a locked job, and count its version. JobStateError for a move that the table does not allow."""
+    """Write columns of a locked job, and increment its version. JobStateError for a move that the table does not
+    allow.
+    """
     state = JobState(values.get("state", job.state))
     if state is not job.state:
         require_move(job.state, state)
@@ -231,7 +233,7 @@ def _is_program(artifact: Artifact) -> bool:
 
 
 def _find_checked_jobs(connection: sa.Connection, job_ids: Collection[str]) -> set[str]:
-    """Return those of the jobs whose last finished stage, of their passes and their check, is the check."""
+    """Return the jobs among these whose check is the last of their finished pass and check stages."""
     query = (
         sa.select(stage_runs.c.job_id, stage_runs.c.stage)
         .join(jobs, sa.and_(jobs.c.id == stage_runs.c.job_id, jobs.c.attempt == stage_runs.c.attempt))

@@ -59,7 +59,7 @@ from service.store.base import Store
 
 NAME_CHARS = 255
 _MOST_FACTS = 5000
-MOST_POSITIONS = 1000  # places in the queue that are counted: behind so many jobs the exact place does not matter
+MOST_POSITIONS = 1000  # places in the queue that are counted: behind that many jobs the exact place does not matter
 _PICTURES = (*THUMBNAILS, TARGET_PICTURE)  # jobs of earlier versions have only the large one
 _SUMMARY = [jobs.c[field.name] for field in fields(JobListRow)]
 
@@ -151,7 +151,9 @@ class JobBook:
         return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
 
     def read_facts(self, rows: Sequence[JobListRow]) -> dict[str, JobFacts]:
-        """Return what a list shows of spec and report, by job; kept by version, for a report takes a while to read."""
+        """Return the parts of spec and report that a list shows, by job; cached by version, because reading a report is
+        slow.
+        """
         found = {row.id: facts for row in rows if (facts := self._facts.get((row.id, row.version))) is not None}
         if unknown := [row.id for row in rows if row.id not in found]:
             query = sa.select(jobs.c.id, jobs.c.version, jobs.c.spec, jobs.c.report).where(jobs.c.id.in_(unknown))
@@ -179,7 +181,7 @@ class JobBook:
         return replace(job, report=self.report_so_far(job)) if _is_without_report(job) else job
 
     def list_with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
-        """Return those of the jobs that exist, as `add_report` does, each with the programs that it offers."""
+        """Return the existing ones of these jobs, as `add_report` does, each with the programs that it offers."""
         with begin_reading(self.database) as connection:
             rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
             found = {job.id: job for job in map(Job.of, rows)}

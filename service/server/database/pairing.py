@@ -82,8 +82,8 @@ class PairingBook:
     def pair(self, code: str, person: str, *, address: str, counts_for_all: bool = True) -> tuple[Token, str]:
         """Create a token for the page of a person who knows a code, and its secret.
 
-        address : what the try is counted by; counts_for_all: in the budget of all addresses, too
-        WrongCodeError, NoCodeError; TooManyTriesError: it was not looked at.
+        address : by which the try is counted; counts_for_all: it also counts in the budget of all addresses
+        WrongCodeError, NoCodeError; TooManyTriesError: the code was not checked.
         """
         alive = self._find_live()
         if not alive:
@@ -98,7 +98,7 @@ class PairingBook:
         return self._tokens.create_paired(person, SCOPES, life_s=PAGE_TOKEN_LIFE_S)
 
     def is_live(self, offer: str) -> bool:
-        """Return whether the code of this offer is still taken."""
+        """Return whether the code of this offer is still accepted."""
         return any(row["id"] == offer.partition(":")[0] for row in self._find_live())
 
     def _find_live(self) -> list[Any]:
@@ -168,7 +168,7 @@ def tries_left(connection: Connection, address: str, now: float) -> int:
 
 
 def _count_used(connection: Connection, address: str, budget: Budget, now: float) -> float:
-    """Return tries of a budget that time has not given back yet; its row is this transaction's from now on."""
+    """Return tries of a budget that have not expired yet, and lock its row for this transaction."""
     insert_new(connection, pairing_tries, {"address": address, "used": 0.0, "at": now})
     used, at = connection.execute(
         select(pairing_tries.c.used, pairing_tries.c.at).where(pairing_tries.c.address == address).with_for_update()

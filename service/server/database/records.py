@@ -72,7 +72,7 @@ class JobStateError(Exception):
 
 
 class JobOnMillError(JobStateError):
-    """A run of one of the job's programs is open, so the job must stay: it explains what the mill is doing."""
+    """A run of one of the job's programs is open, so the job must stay: it describes the program on the mill."""
 
     def __init__(self, run_id: str) -> None:
         Exception.__init__(
@@ -139,7 +139,7 @@ class _Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewJob:
-    """What is needed to make a job.
+    """The data from which a job is made.
 
     figures        : the figures that the names in the spec stand for; None: the worker looks them up
     key            : the caller's Idempotency-Key
@@ -191,7 +191,7 @@ class JobListRow(_Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobFacts:
-    """What a list shows of a job's spec and report; hours: of all programs, once they are known."""
+    """The parts of a job's spec and report that a list shows; hours: of all programs, once they are known."""
 
     lens_mm: tuple[float, float]
     machine: str
@@ -265,7 +265,7 @@ class JobEvent(_Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress(_Row):
-    """How far the running stage of a job is (share 0..1 of the stage), and the job as a whole."""
+    """The progress of a job's running stage (share 0..1 of the stage), and of the whole job."""
 
     job_id: str
     stage: str

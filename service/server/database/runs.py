@@ -114,7 +114,7 @@ class RunBook:
         self._database = database
 
     def find_made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
-        """Return the run that this key has made. KeyReusedError if it stood for another request."""
+        """Return the run that this key has made. KeyReusedError if the key belongs to another request."""
         with begin_reading(self._database) as connection:
             run_id = find_by_key(connection, "run", key, request_sha256)
             return None if run_id is None else _get(connection, run_id)
@@ -198,8 +198,8 @@ class RunBook:
     def record_report(self, run: RunRow, view: Json) -> RunRow:
         """Record the agent's report and return the run. A run that has ended is closed; one that continues is reopened.
 
-        If another run has taken the mill meanwhile the run stays closed; its state is returned all the same. So is a
-        state that a full or busy database cannot store now; it is stored at the next look.
+        If another run has taken the mill meanwhile the run stays closed, and its state is still returned. So is a state
+        that a full or busy database cannot store now; it is stored at the next poll.
         """
         state = str(view["state"])
         is_open = state not in ENDED and (run.open or state in LIVE_WORDS)

@@ -145,7 +145,7 @@ progress = Table(
     Column("at", Float, nullable=False),
 )
 
-# Which request made which thing, so that a client can repeat a request. principal: id of the token; kind = "job" |
+# The result of each request, so that a client can repeat it. principal: id of the token; kind = "job" |
 # "run".
 idempotency_keys = Table(
     "idempotency_keys",
@@ -217,7 +217,7 @@ pairing_tries = Table(
 )
 
 # Programs given to mills. agent_run is the agent's own id of the run; view is the agent's last report on it. reason is
-# {code, values} of what `words` say; null where there is no code, and in rows from before there were codes.
+# {code, values} behind `words`; null where there is no code, and in rows from before there were codes.
 runs = Table(
     "runs",
     metadata,

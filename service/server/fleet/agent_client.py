@@ -69,14 +69,14 @@ class AgentLink:
         return await self._send("POST", path, timeout_s=timeout_s, json=body or {})
 
     async def send_once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
-        """Send like `post`, but never again, even if it certainly did not arrive: an order is for now or never."""
+        """Send like `post`, but never repeat it, even if it certainly did not arrive: an order is for now or never."""
         return await self._request("POST", path, timeout_s=timeout_s, json=body, headers=headers)
 
     async def delete(self, path: str, *, headers: Json) -> Json:
         return await self._request("DELETE", path, timeout_s=ASK_S, headers=headers)
 
     async def send_urgent(self, path: str, *, headers: Json | None = None) -> Json:
-        """Send a stop. Twice is better than not at all, so one that failed is sent once more.
+        """Send a stop. Arriving twice is better than not at all, so a stop that failed is sent once more.
 
         It goes to the agent's last known address before anything is looked up; no other program accepts our token.
         Within URGENT_S it is known whether it was accepted; if not, a person has to use the mill's own button.
@@ -207,7 +207,7 @@ class AgentLink:
                 return answer.status_code, await read_whole(answer, self.machine.name)
 
     def _refusal(self, status: int, content: bytes) -> Problem:
-        """Return the agent's own refusal; problems between it and us are not the caller's fault."""
+        """Return the agent's own refusal; problems on the way to the agent are not the caller's fault."""
         try:
             said = json_object(content, self.machine.name)
         except Problem:
@@ -266,7 +266,7 @@ class AgentLinks:
     def __init__(self, settings: ServerSettings) -> None:
         self.settings = settings
         self.links: dict[str, AgentLink] = {}
-        self.stopped_s: dict[str, float] = {}  # when a stop of a machine came by last, by `suspend_aware_clock_s`
+        self.stopped_s: dict[str, float] = {}  # time of the last stop of a machine, by `suspend_aware_clock_s`
         self._http: httpx.AsyncClient | None = None
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="profiles")
 

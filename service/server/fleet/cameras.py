@@ -25,7 +25,7 @@ _MOST_HEAD = 4096  # bytes of a part's own headers
 
 @dataclass(slots=True)
 class _Camera:
-    """lock: one question at a time. answered_s: when its last picture, or its failure, came on the monotonic clock."""
+    """lock: allows one request at a time. answered_s: time of its last picture or failure, on the monotonic clock."""
 
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     last: bytes | Problem = b""
@@ -33,7 +33,7 @@ class _Camera:
 
 
 class Cameras:
-    """client: what they are asked with, made in the loop that uses it."""
+    """client: the HTTP client, made in the loop that uses it."""
 
     def __init__(self, client: Callable[[], httpx.AsyncClient]) -> None:
         self._client = client

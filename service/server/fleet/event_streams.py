@@ -45,7 +45,9 @@ class MachineEvents:
         self._failures = 0
 
     async def stream(self) -> AsyncGenerator[bytes]:
-        """Yield bytes of the event stream: `status` events hold how it stands, `log` events what happened."""
+        """Yield bytes of the event stream: `status` events with the state of the machine, `log` events with what
+        happened.
+        """
         core = self._core
         yield FIRST
         while not core.ending.is_set():
@@ -136,7 +138,7 @@ class MachineEvents:
         return bool(view) and known != (view.get("id"), view.get("state"))
 
     async def _find_open_run(self, view: Json) -> RunRow | None:
-        """Return the run that has the mill. If the agent reports something new of it, write that down."""
+        """Return the run that has the mill. If the agent reports something new about it, store that."""
         runs = self._core.runs
         run = await self._core.do(runs.open_on, self._machine.name)
         if run is not None and _is_about(view, run):
@@ -145,7 +147,7 @@ class MachineEvents:
 
 
 def _is_about(view: Json, run: RunRow) -> bool:
-    """Return whether the agent speaks of this run."""
+    """Return whether the agent's report is about this run."""
     return run.agent_run is not None and view.get("id") == run.agent_run
 
 
@@ -166,7 +168,7 @@ class RunEvents:
         self._failures = 0
 
     async def stream(self) -> AsyncGenerator[bytes]:
-        """Yield bytes of the event stream: `run` events hold how it stands, `log` events what happened."""
+        """Yield bytes of the event stream: `run` events with the state of the run, `log` events with what happened."""
         core = self._core
         yield FIRST + _run_event(self._shown)
         while self._shown.open and not core.ending.is_set():
@@ -201,7 +203,7 @@ class RunEvents:
             elif (now := _read_run_state(self._run, table(data, "run")) or await self._look()) != self._shown:
                 self._shown = now
                 if not now.open:
-                    await self._look_again()  # written down before it is sent to the reader
+                    await self._look_again()  # stored before it is sent to the reader
                 yield _run_event(now, self._last_id)
             if not self._shown.open:
                 return

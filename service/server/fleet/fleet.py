@@ -73,13 +73,13 @@ class Fleet:
                 await self._core.meet_agents()
 
     async def watch(self, every_s: float = WATCH_S) -> None:
-        """Poll every open run regularly, so that one that ends while nobody asks is closed too."""
+        """Poll every open run regularly, so that a run that ends while nobody watches is closed too."""
         while not await self._core.await_end(every_s):
             try:
                 rows = await self._core.do(self._core.runs.open_ones)
                 seen = await asyncio.gather(*map(self._repair_and_look, rows))
                 await self._keep_pictures([run for run in seen if run.state in LIVE_WORDS and not run.away])
-            except Exception as error:  # the database or a mill is away, or an agent talks nonsense
+            except Exception as error:  # the database or a mill is away, or an agent sent invalid data
                 _log.warning("runs were not looked at", error=printable(str(error))[:200])
 
     async def _keep_pictures(self, live: Sequence[RunRow]) -> None:

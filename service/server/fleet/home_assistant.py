@@ -2,8 +2,8 @@
 
 Only retained messages go out and nothing is subscribed to, so that no message can move a mill. paho's own thread talks
 to the broker; the event loop hands it at most one state of the mills, and no other before the broker has taken it: a
-broker that is away, slow or stuck delays nothing. The server says no goodbye: the broker then publishes its will,
-"offline".
+broker that is away, slow or stuck delays nothing. The server sends nothing when it ends: the broker then publishes its
+will, "offline".
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class HomeAssistant:
 
     def __init__(self, client: Client) -> None:
         self._client = client
-        self._shown: dict[str, str | None] = {}  # by topic, also of mills that are gone; None: to be said again
+        self._shown: dict[str, str | None] = {}  # by topic, also of mills that are gone; None: to be published again
         self._pending: list[MQTTMessageInfo] = []
         self._is_new = True
         client.on_connect = self._on_connect
@@ -68,7 +68,7 @@ class HomeAssistant:
         wanted = dict.fromkeys(self._shown, "") | dict(list_messages(machines))  # an empty message takes an entity away
         changed = [(topic, text) for topic, text in wanted.items() if self._shown.get(topic) != text]
         sent = [self._client.publish(topic, text, retain=True) for topic, text in changed]
-        self._pending = [one for one in sent if not one.rc]  # the others met a link that has just broken: see _is_new
+        self._pending = [one for one in sent if not one.rc]  # the others met a link that had just broken: see _is_new
         self._shown = dict(wanted)
 
 
@@ -111,7 +111,7 @@ def _state_of(machine: MachineView) -> dict[str, Any]:
 
 
 def open_client(url: str) -> Client:
-    """Return a client that reaches for the broker by its own thread; InputError without the library.
+    """Return a client that connects to the broker in its own thread; InputError without the library.
 
     url : mqtt(s)://user:password@host:port
     """
@@ -134,7 +134,7 @@ def open_client(url: str) -> Client:
 
 
 async def show_mills(fleet: Fleet, url: str) -> None:
-    """Show the mills until the server ends. A look that fails is skipped."""
+    """Publish the mills' states until the server ends. A failed query is skipped."""
     try:
         shown = HomeAssistant(open_client(url))
     except InputError as error:
@@ -143,7 +143,7 @@ async def show_mills(fleet: Fleet, url: str) -> None:
     while True:
         try:
             shown.show((await fleet.list_machines()).machines)
-        except Exception as error:  # the database is away, or an agent talks nonsense
+        except Exception as error:  # the database is away, or an agent sent invalid data
             _log.warning("mills were not shown", error=printable(str(error))[:200])
         if await fleet.await_end(LOOK_S):
             return

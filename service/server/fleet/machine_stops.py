@@ -1,7 +1,7 @@
 """Stops of mills: hold, abort, jog-cancel.
 
 Theory of operation. Between the request and the agent there is memory only: the link of each machine. A stop leaves
-before anything waits for a database, a thread, a lock or a profile file. Only then the profiles are read, for a moment,
+before anything waits for a database, a thread, a lock or a profile file. Only then are the profiles read, for a moment,
 in case the agent has moved. A stop that may be meant for two agents goes to both: it costs little to stop a mill that
 did not need it.
 """
@@ -19,8 +19,8 @@ from service.server.fleet.agent_replies import AgentAwayError, make_order_view, 
 from service.server.schemas.runs import OrderView
 
 T = TypeVar("T")
-_LOOK_S = 0.2  # for a look at the profiles before the answer: a page without an answer after 0.3 s repeats a stop
-_RENEW_S = 1.0  # for that look if the known agent does not answer
+_LOOK_S = 0.2  # time to read the profiles before the answer: a page without an answer after 0.3 s repeats a stop
+_RENEW_S = 1.0  # the same if the known agent does not answer
 
 
 class MachineStops:

@@ -1,6 +1,6 @@
 """Notifications to people elsewhere: a mill needs a hand, a program is finished, the next tool is due.
 
-The mills are looked at every few seconds; what has changed since the look before is reported once. A notification goes
+The mills are polled every few seconds, and each change since the last poll is reported once. A notification goes
 to a web address as JSON or to a mailbox, in order, and is tried a few times.
 """
 
@@ -30,7 +30,7 @@ LOOK_S = 5.0
 AGAIN_S = (2.0, 10.0, 60.0)
 _WAIT_S = 10.0
 _MOST_WAITING = 200
-_RUNS = 100  # the newest ones, whose ends are reported
+_RUNS = 100  # the newest runs, whose ends are reported
 Event = Literal["needs_hand", "tool_change", "finished"]
 _TROUBLE = {"alarm": "is locked by an alarm", "door": "its door is open", "tool": "waits for a tool change"}
 _log = structlog.get_logger("api")
@@ -52,15 +52,15 @@ Send = Callable[[Notification], None]
 
 
 class MillWatch:
-    """Compares each look at the mills and the newest runs with the one before."""
+    """Compares each poll of the mills and the newest runs with the one before."""
 
     def __init__(self, clock_s: Callable[[], float] = time.time) -> None:
         self._clock_s = clock_s
         self._troubles: dict[str, str] = {}  # by machine: the trouble last reported
-        self._ended: set[str] | None = None  # runs that were finished at the look before
+        self._ended: set[str] | None = None  # runs that were finished at the last poll
 
     def compare(self, machines: Iterable[MachineView], runs: Iterable[RunView]) -> list[Notification]:
-        """Return the new notifications. Programs that were finished before the first look are not reported."""
+        """Return the new notifications. Programs that were finished before the first poll are not reported."""
         news = []
         for machine in machines:
             trouble = trouble_of(machine)
@@ -105,14 +105,14 @@ def trouble_of(machine: MachineView) -> str:
 
 
 async def watch_mills(fleet: Fleet, send: Callable[[Notification], Awaitable[None]]) -> None:
-    """Send notifications until the server ends. A look that fails is skipped."""
+    """Send notifications until the server ends. A failed poll is skipped."""
     watch = MillWatch()
     while True:
         try:
             runs = await fleet.list_runs(machine=None, job=None, limit=_RUNS, before=None)
             for one in watch.compare((await fleet.list_machines()).machines, runs):
                 await send(one)
-        except Exception as error:  # the database is away, or an agent talks nonsense
+        except Exception as error:  # the database is away, or an agent sent invalid data
             _log.warning("mills were not looked at", error=printable(str(error))[:200])
         if await fleet.await_end(LOOK_S):
             return
@@ -153,7 +153,7 @@ class Delivery:
 
 
 def list_ways_out(settings: ServerSettings) -> dict[str, Send]:
-    """Return the ways that are set up."""
+    """Return the channels that are configured."""
     ways: dict[str, Send] = {}
     if url := settings.notify_url:
         ways["webhook"] = lambda notification: post(url, notification)

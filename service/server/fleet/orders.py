@@ -1,5 +1,5 @@
-"""Orders to mills, outside runs and to runs, each under a grant of the mill's agent. Also stops of mills and of runs,
-with the part of them that needs the database.
+"""Orders to mills and to runs, each under a grant of the mill's agent; and stops of mills and of runs, including their
+part that needs the database.
 
 Theory of operation. An order is valid only for the moment at which it was given. The page asks for a grant when a
 button is pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has
@@ -10,7 +10,7 @@ has come since. Only the agent validates the contents of an order. Each order is
 agent is asked for the outcome; if the agent does not know it either, a person has to look.
 
 No stop waits for the database before it is sent (`machine_stops`): the machine of a run is remembered, or else all
-agents are asked. Afterwards the run's row is waited for, for a moment.
+agents are asked. Afterwards it waits for the run's row, for a moment.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Controls:
         return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
 
     async def recover(self, run_id: str, said: RecoverBody, context: OrderContext) -> RunRow:
-        """Recover only by the plan that the caller has read: the one that they name, or the one shown to them last."""
+        """Recover only by the plan that the caller has read: the one they name, or the one last shown to them."""
         plan = said.plan or self._plans_shown.get((context.name, run_id), "")
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
@@ -226,7 +226,7 @@ class Controls:
 
 
 T = TypeVar("T")
-_BOOK_S = 0.3  # for the database, after the stop has left
+_BOOK_S = 0.3  # wait for the database, after the stop has left
 
 
 class Stops(MachineStops):

@@ -103,7 +103,7 @@ def _same_pass(row: Mapping[str, Any]) -> Json:
 
 
 def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
-    """Return what to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
+    """Return what to do between two passes. The work zero in X and Y stays; each tool has its own length."""
     old, new = before.get("radius_mm"), row.get("radius_mm")
     if old is not None and old == new and _shape(row) == _shape(before):
         words = Phrase("the same tool as before, {tool}: it stays in, and all zeros as they are", tool=_tool(row))

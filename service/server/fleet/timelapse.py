@@ -2,7 +2,7 @@
 
 A live run gets a picture at each look of the fleet's watch, 10 s apart. When it has MOST_PICTURES, or MOST_BYTES,
 every second one goes and the next ones come half as often, so that a run of an hour and one of a week need equal room.
-Nothing else is kept than the files: their names say when they were taken. A full disk costs pictures, nothing else.
+Only the files are kept; their names give the time. A full disk loses pictures, nothing else.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Timelapses:
         return self._clock() - taken[-1] >= _EARLY * (taken[-1] - taken[0]) / (len(taken) - 1)
 
     def keep(self, run_id: str, picture: bytes) -> None:
-        """Keep a picture of now, and make room. OSError"""
+        """Keep a present picture, and make room for it. OSError"""
         folder = self._folder / run_id
         is_new = not folder.is_dir()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)

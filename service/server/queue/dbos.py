@@ -29,7 +29,7 @@ NAME = "causticmill"
 QUEUE = "jobs"
 WORKFLOW = "job"
 # Version of the contents of the engine's rows, not of the program: another number would abandon the jobs of the old
-# one.
+# version.
 SCHEMA_VERSION = "1"
 POLL_S = 0.2
 # A job may be begun this often at one worker before it counts as one that kills its workers.

@@ -60,13 +60,13 @@ class JobEngine(Protocol):
         """
 
     def list_known(self, tickets: list[Ticket]) -> set[Ticket]:
-        """List those of the tickets that the engine will run, is running, or has run."""
+        """List those of these tickets that the engine will run, is running, or has run."""
 
     def find_owners(self) -> dict[Ticket, str]:
         """Find the executor of each ticket that has begun and not ended."""
 
     def list_ended(self, tickets: list[Ticket]) -> set[Ticket]:
-        """List those of the tickets that the engine will not run (again)."""
+        """List those of these tickets that the engine will not run (again)."""
 
     def forget(self, tickets: list[Ticket]) -> None:
         """Drop the history of tickets that have ended."""
@@ -136,7 +136,7 @@ class TicketRunner:
     def _try_give_back(self, ticket: Ticket) -> bool:
         try:
             self._engine.give_back(ticket, self._executor)
-        except Exception:  # the database is away: it stays ours
+        except Exception:  # the database is away: the ticket stays ours
             return False
         return True
 

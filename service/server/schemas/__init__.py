@@ -1,1 +1,1 @@
-"""What requests and answers are made of: the models that answer, and that the OpenAPI document describes."""
+"""The models of requests and answers, which the OpenAPI document describes."""

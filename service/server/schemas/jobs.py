@@ -40,7 +40,7 @@ class ProblemBody(BaseModel):
     status: int
     detail: str
     field: Annotated[str | None, Field(description="the part of the request it is about")] = None
-    code: Annotated[str | None, Field(description="which refusal it is, where a program may tell it by that")] = None
+    code: Annotated[str | None, Field(description="code of the refusal, for programs, if there is one")] = None
     values: Annotated[dict[str, Any] | None, Field(description="what `detail` names, beside `code`")] = None
     problems: Annotated[list[ProblemField] | None, Field(description="where there are several: all of them")] = None
     phrases: Phrases
@@ -138,7 +138,8 @@ class RequestView(Body):
 
     name: str
     spec: Annotated[
-        dict[str, Any], Field(description="only what must be said; the rest follows from it", examples=[_SPEC])
+        dict[str, Any],
+        Field(description="only the keys that must be given; the rest follows from them", examples=[_SPEC]),
     ]
     image: Annotated[str, Field(description="address of the picture")]
 
@@ -231,7 +232,7 @@ class PictureSize(Body):
 
 
 class ChangeView(Body):
-    """Of the job: an estimate with it tells what it comes to."""
+    """A change of the job; an estimate with the change shows its effect."""
 
     what: str
     values: Annotated[dict[str, Any], Field(description="of the spec, by dotted key")]

@@ -1,4 +1,4 @@
-"""What photographs of walls and of test pieces tell."""
+"""Findings from photographs of walls and of test pieces."""
 
 from __future__ import annotations
 

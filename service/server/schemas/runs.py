@@ -1,4 +1,6 @@
-"""What the routes about machines, their runs and control of them take and answer, as far as it is the server's own."""
+"""Requests and answers of the routes about machines, their runs and control of them, except those of the mills'
+agents.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,7 @@ _MILL = {
 
 
 class NewRunBody(Body):
-    """Which program of which job. Without `program`: the next pass that this mill has not finished."""
+    """A program of a job. Without `program`: the next pass that this mill has not finished."""
 
     job: Annotated[UUID, Field(description="id of a job whose programs have been checked", examples=[JOB_ID])]
     program: Annotated[
@@ -82,7 +84,7 @@ class ProgramOfRun(Body):
 
 
 class RunProgress(Body):
-    """How a run stands: what changes while it runs, so that the page sees it live."""
+    """The part of a run that changes while it runs, so that the page shows it live."""
 
     id: str
     state: RunWord
@@ -157,7 +159,7 @@ class AgentView(Body):
 
 
 class OpenRun(RunProgress):
-    """The part of a run that one wants to see beside the mill."""
+    """The part of a run that is shown with the mill."""
 
     job: str
     program: str

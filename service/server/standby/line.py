@@ -2,9 +2,9 @@
 
 Theory of operation. Both have the listening socket. The API says SERVING twice a second as long as its event loop
 turns. The standby accepts connections when it has not heard that for a while, and at once when the supervisor, or an
-API that ends, says GONE. It serves stops itself. It hands all other connections to the API when that serves, with the
-bytes that it has read: a caller waits while the API starts, and is not refused. Both may accept for a moment without
-harm.
+API that ends, says GONE. It serves stops itself. It hands all other connections, with the bytes already read, to the
+API as soon as that serves: a caller waits while the API starts, and is not refused. Both may accept for a moment
+without harm.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _AGAIN_S = 0.02
 
 
 class ApiWatch:
-    """The standby's end. on_change(serves) is called whenever the API begins or ceases to serve."""
+    """The standby's end. on_change(serves) is called when the API begins or stops serving."""
 
     def __init__(self, line: socket.socket, on_change: Callable[[bool], None]) -> None:
         self._line = line

@@ -1,4 +1,5 @@
-"""`python -m service.server.standby.main`: the standby's process, a child of the supervisor. It answers only stops.
+"""`python -m service.server.standby.main`: the standby's process, a child of the supervisor. It only answers stop
+requests.
 
 It imports neither database nor framework, so that stops are served a moment after the start.
 """
@@ -46,7 +47,7 @@ _OF_RUN = re.compile(rf"/v1/runs/(?P<run>[^/:]+):(?P<stop>{Stop.HOLD}|{Stop.ABOR
 
 
 class StandbyApp:
-    """ASGI. Answers are those of the server; one about a run is as its mill's agent reports it."""
+    """The standby's ASGI application. It answers as the server does; the state of a run comes from its mill's agent."""
 
     def __init__(self, settings: ServerSettings, stops: MachineStops, stoppers: StopperFile) -> None:
         self._stops = stops
@@ -171,7 +172,7 @@ class StandbyProtocol(ProblemProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._handing is not None:
-            self._handing.cancel()  # at once: its descriptor may be reused for another caller in a moment
+            self._handing.cancel()  # close at once: the descriptor may soon be reused for another caller
         super().connection_lost(exc)
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:

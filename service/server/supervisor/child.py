@@ -1,6 +1,7 @@
 """One child of the supervisor: starts it, reads its heartbeats, restarts it with growing pauses, stops it.
 
-`python -m service.server.supervisor.child MODULE` is that child: it runs the `main` of a module, tied to our life.
+`python -m service.server.supervisor.child MODULE` is that child: it runs the `main` of a module, and ends when the
+supervisor ends.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ class SupervisedChild:
 
     @property
     def refused(self) -> bool:
-        """The child has refused its configuration. One that it accepted before cannot be at fault: then the child is
-        restarted.
+        """Act on a child that has refused its configuration. A configuration that it accepted before cannot be at
+        fault: then the child is restarted.
         """
         return self.code == REFUSED and not self.running and not self._proven
 

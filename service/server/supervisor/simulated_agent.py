@@ -41,7 +41,7 @@ def main() -> int:
         )
     except (ServiceError, MachineError, LookupError) as error:
         print(f"error: the agent of the simulated mill: {error}", file=sys.stderr, flush=True)
-        return 3  # neither of the codes that end the server: it is tried again
+        return 3  # neither of the codes that end the server, so it is started again
     return 0
 
 

@@ -62,7 +62,7 @@ def _leave(*_: object) -> NoReturn:
 
 def make_mill() -> SimulatedMill:
     """Return the mill, which keeps no record of its cuts."""
-    from_here_mm = GRBL_11.power_up_machine_mm  # where the recording is zero
+    from_here_mm = GRBL_11.power_up_machine_mm  # position of the recording's zero
     left, front, top = (at - here for at, here in zip(_TOUCHED_AT_MM, from_here_mm, strict=True))
     plate = CornerPlate(left_mm=left, front_mm=front, tool_radius_mm=_PIN_RADIUS_MM)
     traits = replace(GRBL_11, homing=True, probe_surface_mm=top, corner_plate=plate)

@@ -108,7 +108,7 @@ class UnitOrder:
 
 
 def unit_text(order: UnitOrder) -> str:
-    """Return the unit. InputError if a name cannot stand in one."""
+    """Return the unit. InputError if a name cannot be written into a unit."""
     if order.machine is not None and not _NAME.fullmatch(order.machine):
         raise InputError(f"--machine {order.machine!r}; allowed: letters, digits, . _ -")
     if not _NAME.fullmatch(order.account):
@@ -119,7 +119,7 @@ def unit_text(order: UnitOrder) -> str:
         command=_command(),
         data=data,
         cache=_text(str(order.data / "cache"), "--data").replace("$$", "$"),
-        settings=_text(str(settings), "--data").replace("$$", "$"),  # a path alone: taken as it is but for %
+        settings=_text(str(settings), "--data").replace("$$", "$"),  # a lone path: taken unchanged except for %
         machine=order.machine,
         port="" if order.mill_port is None else f" --port {_word(order.mill_port, '--mill-port')}",
         account=_account(order),

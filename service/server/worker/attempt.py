@@ -51,7 +51,7 @@ class Processes(Protocol):
 
 @dataclass(frozen=True)
 class WorkerContext:
-    """What all jobs of a worker share."""
+    """The parts that all jobs of a worker share."""
 
     settings: ServerSettings
     executor: str
@@ -69,7 +69,7 @@ class WorkerContext:
 
 @contextmanager
 def fence_outage() -> Iterator[None]:
-    """Fence an attempt whose database cannot be reached: it is not the job's fault, and the job continues later."""
+    """Fence an attempt if the database cannot be reached: it is not the job's fault, and the job continues later."""
     try:
         yield
     except AWAY as error:

@@ -39,7 +39,7 @@ class NameTakenError(Exception):
 
 @dataclass
 class Lease:
-    """The row of one worker. `boot` tells its process from others of the same name.
+    """The row of one worker. `boot` distinguishes its process from others of the same name.
 
     alone : no one can take over, because a lock makes this process the only worker of the database; then it need not
     stop if the database is away for longer (a backup that locks the file), and `safe` only depends on the row
@@ -94,7 +94,7 @@ class LeaseRenewer:
         self._lease = lease
         self._on_taken = on_taken
         self._stop = threading.Event()
-        self._hang = Timeout(max(lease.lease_s, 10.0), most_s=2.0 * BEAT_S)  # looked at with every beat
+        self._hang = Timeout(max(lease.lease_s, 10.0), most_s=2.0 * BEAT_S)  # checked with every beat
         self._thread = threading.Thread(target=self._run, name="heart", daemon=True)
 
     def start(self) -> None:
@@ -122,7 +122,7 @@ class LeaseRenewer:
 
 
 def list_live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
-    """Return the workers that were heard of within a lease."""
+    """Return the workers whose heartbeat is not older than a lease."""
     query = sa.select(executors.c.id).where(executors.c.seen_at > clock(connection) - lease_s)
     return set(connection.execute(query).scalars())
 

@@ -23,7 +23,7 @@ from service.server.queue.engine import JobEngine, Ticket
 from service.server.worker.lease import list_live_executors
 
 CHUNK = 200
-GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
+GRACE_S = 2.0  # a job younger than this may be on its way from the API to the engine
 GIVEN_UP = Phrase("the job engine gave the job up without a result; the server's log may say why. You can retry it")
 log = structlog.get_logger()
 
@@ -63,7 +63,7 @@ class Reconciler:
         """Release jobs that have this worker's name but do not run here, so that the holder of the ticket can claim
         them.
 
-        They are from before its restart, or it was fenced out of them while the engine gave the ticket to another
+        They date from before its restart, or the worker lost its claim while the engine gave the ticket to another
         worker.
         """
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)

@@ -39,7 +39,9 @@ _NAMES = (artifacts.c.sha256, jobs.c.image_sha256, stage_runs.c.log_sha256, resu
 
 
 class Retention:
-    """One turn does a part of the work; several workers may do it at once."""
+    """Deletes by age and quota, and sweeps the store. One turn does a part of the work; several workers may do it at
+    once.
+    """
 
     def __init__(
         self,
@@ -197,7 +199,7 @@ class Retention:
 
 
 def _list_hashes_of_job(connection: sa.Connection, job_id: str) -> Iterator[str]:
-    """Yield hashes of a job's files and of what its stages said."""
+    """Yield hashes of a job's files and of its stages' logs."""
     for column, table in ((artifacts.c.sha256, artifacts), (stage_runs.c.log_sha256, stage_runs)):
         query = sa.select(column).where(table.c.job_id == job_id, column.is_not(None))
         yield from connection.execute(query).scalars()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from service.job.stages.order import StageOrder
-from service.job.stages.preload import LATER  # and what the lens is computed with, imported once for all children
+from service.job.stages.preload import LATER  # and the libraries that compute the lens, imported once for all children
 from service.job.stages.run import run_order
 from service.settings import ServerSettings
 from service.store.opening import open_store

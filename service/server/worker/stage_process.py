@@ -2,7 +2,7 @@
 heartbeats, time, log, and requests to stop it. A cancelled, late or silent stage is killed with everything it started,
 and `run` returns only when none of its processes is left.
 
-The log is kept short: a stage that says the same thing for hours must not fill the disk. The process appends to the
+The log is kept short: a stage that repeats a line for hours must not fill the disk. The process appends to the
 file by itself, so the worker cannot shorten it without losing lines just written. Instead it frees the disk blocks of
 the middle now and then, and removes the middle when no one writes any more. The first and the last lines show why a
 stage went wrong.
@@ -273,8 +273,8 @@ class StageProcesses:
         """Run one stage to its end; when this returns, none of its processes is alive.
 
         order : a dataclass or mapping of plain values; log : what the stage prints is added to this file
-        stop  : asked at least 5 times per second: "cancelled", "fenced" or None. A heartbeat is passed on only after it
-        has answered: while it hangs, so does the worker's claim, and the stage ends itself after 0.6 of a lease
+        stop  : called at least 5 times per second: "cancelled", "fenced" or None. A heartbeat is passed on only after
+        it has answered: while it hangs, the claim is not renewed, and the stage ends itself after 0.6 of a lease
         """
         with _Files(order, log) as files:
             child = self._start_child(files, stop)

@@ -2,7 +2,7 @@
 not wait, and alongside a command whose first stages compile other kernels.
 
 It is a child process of the lowest priority. It begins with light, while the command solves the map of its lens. For
-whole jobs it goes on with a lens and with reading a program; a second child, which it starts, makes programs for an
+whole jobs it goes on with a lens and with reading a program; it starts a second child, which makes programs for an
 existing lens and simulates them as milled. The marks of `kernel_cache` record what is done.
 """
 

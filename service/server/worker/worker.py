@@ -1,7 +1,8 @@
 """A worker as a whole: the conditions under which it refuses to start, because jobs could be lost or done twice; its
 parts, their starting order, and how it stops.
 
-Threads: heart (lease), watch (wishes and progress of running jobs), reconcile, retention, and those of the engine.
+Threads: heart (lease), watch (requests to running jobs, and their progress), reconcile, retention, and those of the
+engine.
 """
 
 from __future__ import annotations

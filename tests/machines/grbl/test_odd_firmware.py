@@ -51,7 +51,7 @@ def plain(line: bytes, _: int) -> list[bytes]:
 
 
 def for_ok(*said: bytes, every: int = 1) -> Say:
-    """These instead of every so many-th `ok`."""
+    """These instead of every n-th `ok`."""
     return lambda line, oks: list(said) if line == b"ok" and oks % every == 0 else [line]
 
 

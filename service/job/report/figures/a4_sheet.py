@@ -35,7 +35,7 @@ Word = tuple[str, bool]
 
 
 class Paper:
-    """The sheet; what is drawn later lies on top."""
+    """The sheet; later drawings lie on top of earlier ones."""
 
     def __init__(self) -> None:
         self._figure = Figure(figsize=(WIDTH / 72, HEIGHT / 72), dpi=72)
@@ -100,7 +100,7 @@ class Paper:
         return right - wide
 
     def draw_svg(self, drawing: str, x: float, y: float, scale: float) -> None:
-        """Draw what `service.job.report.block` draws."""
+        """Draw the block of `service.job.report.block`."""
         for node in fromstring(drawing):
             _Drawn(self, x, y, scale).draw(node)
 
@@ -176,7 +176,7 @@ def _numbers(text: str) -> list[tuple[float, float]]:
 
 
 def words_of(html: str) -> list[Word]:
-    """Return the words of a piece of HTML, with those in <strong> bold; of other tags their text alone."""
+    """Return the words of a piece of HTML, with those in <strong> bold; of other tags only the text."""
     words: list[Word] = []
     glue = False
     for k, piece in enumerate(re.split(r"</?strong>", html)):
@@ -227,7 +227,7 @@ def _characters() -> frozenset[int]:
 
 
 def width_of(text: str, bold: bool, size: float) -> float:
-    """Return how wide a text is."""
+    """Return the width of a text."""
     return size * _ems(text, bold)
 
 

@@ -1,7 +1,7 @@
 """envelope.png: block, clamps and tool between the table and the mill's head, from the front, to scale.
 
 Left: the tool at its lowest, where its axis comes nearest to a clamp. Right: at the safe height, where rapids cross and
-programs begin and end. Heights are over the table. It is the tool that sticks out farthest.
+programs begin and end. Heights are over the table. The drawing shows the tool that sticks out farthest.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ _BESIDE_MM = 30.0
 
 
 def envelope_png(envelope: Envelope, reach: Reach, *, file: str, machine: str, base_mm: float) -> bytes:
-    """Draw both positions of one program's tool. base_mm : of what the block lies on"""
+    """Draw both positions of one program's tool. base_mm : height of the base under the block"""
     figure = new_figure(10.0, 4.6)
     zero_mm = base_mm + envelope.thickness_mm
     stick_out_mm = envelope.stick_out_mm(reach)
-    left_mm = -reach.beyond_mm[0]
     places = (
-        (left_mm, zero_mm + reach.lowest_mm, f"at its lowest, Z{reach.lowest_mm:.4g}"),
+        (envelope.area_mm(reach)[0], zero_mm + reach.lowest_mm, f"at its lowest, Z{reach.lowest_mm:.4g}"),
         (envelope.width_mm / 2, zero_mm + envelope.safe_z_mm, f"rapids, Z{envelope.safe_z_mm:.4g}"),
     )
     panels = figure.subplots(1, 2, sharey=True)

@@ -39,7 +39,7 @@ def heightfield_png(
 ) -> bytes:
     """Draw heights (ny, nx) with contour lines, and the same surface in raking light; both from above, on the mill.
 
-    outline_mm : corners of the lens within its aperture; what lies beyond is shown paler
+    outline_mm : corners of the lens within its aperture; the rest is shown paler
     """
     figure = new_figure(12.6, 0.7 + panel_height(4.9, float(np.ptp(y_mm)), float(np.ptp(x_mm))))
     heights, relief = figure.subplots(1, 2)

@@ -4,7 +4,7 @@ Three kinds of move are kept of each pass: rows some two millimetres apart over 
 small window at the rim, and the moves that reach farthest in x, y and z. Ten million moves go past; about a hundred
 thousand stay.
 
-Of a contour pass a few tracks are kept, evenly strewn, as long as they stay clear of each other. The path is followed
+Of a contour pass a few evenly scattered tracks are kept, as long as they stay clear of each other. The path is followed
 once. A track is drawn from where it is at least one distance away from all drawn tracks until it comes nearer than half
 of that, like lines in a drawing of a flow; but every line is a piece of the path itself. Stretches of other layers
 (before the last entry into the longest stretch) are left out.
@@ -87,7 +87,7 @@ class PathSample:
         self.row_distance_mm = apart_mm if apart_mm > 4 * pitch_mm else pitch_mm  # few rows: all of them
         self.moves = self.rapids = self.entries = 0
         self._limit = limit
-        self._axis: int | None = None  # of the rows' position: 1 where they run along x
+        self._axis: int | None = None  # axis of the rows' position: 1 if they run along x
         self._last_was_rapid = True
         self._cuts = Segments(limit)
         self._jumps = Segments(limit // 10)

@@ -1,5 +1,5 @@
-"""Figures of photographs. A measured test piece is shown rectified, with what the finish left of each ripple. A job's
-wall is shown rectified beside the prediction, with the findings (look.png).
+"""Figures of photographs. A measured test piece is shown rectified, with the share of each ripple that the finish left.
+A job's wall is shown rectified beside the prediction, with the findings (look.png).
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from service.wording import ball, duration
 
 _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
 _WIDE_IN, _LEAST_WIDTH_IN = 3.1, 9.5  # of a picture; of the figure, so that the words of the curve fit
-_CAPTION_CHARS = 44  # as many as fit under a picture
+_CAPTION_CHARS = 48  # as many as fit under a picture
 
 
 def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> bytes:

@@ -1,6 +1,5 @@
-"""/v1/control, /v1/grants, /v1/lease, /v1/orders: what an operator asks of the mill beside a run, who may, and who has.
-
-Stops are taken at any time.
+"""/v1/control, /v1/grants, /v1/lease, /v1/orders: an operator's orders outside a run, the right to give them, and their
+log. Stops are accepted at any time.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class ControlRoutes:
     async def order(self, request: Request) -> Response:
         what = request.path_params["what"]
         access, caller = self._agent.access, read_caller(request)
-        if what in _STOPS:  # before the body is looked at: nothing in it could matter
+        if what in _STOPS:  # before the body is read: nothing in it could matter
             await access.halt(Stop(what), caller)
         elif what == "resume":
             await read_body(request, Body)
@@ -106,7 +105,7 @@ class OrderRoutes:
         return Response(status_code=204)
 
     async def list_orders(self, request: Request) -> Response:
-        """List orders, stops, and what came of them, newest first."""
+        """List orders, stops, and their results, newest first."""
         before, limit = _number(request, "before", 1 << 53), _number(request, "limit", 50)
         limit = max(1, min(limit, _MOST_ORDERS))
         entries = await self._agent.access.work(lambda: self._agent.audit.read(before, limit))

@@ -123,7 +123,7 @@ class RunRoutes:
         body = await read_body(request, ParkBody)
         program, key, name, lift_mm = body.program, body.key, body.name or body.program[:12], body.lift_mm
         path = await self._agent.access.work(lambda: self._agent.store.path_of(program))
-        async with self._parking:  # a client that asks again must not overtake itself
+        async with self._parking:  # a repeated request must not overtake the first
             if (known := self._find_parked(key, program, lift_mm)) is not None:
                 return _run_response(known, status=200)
             if lift_mm is not None:

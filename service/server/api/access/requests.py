@@ -20,7 +20,7 @@ from service.http.problems import Problem
 from service.http.uvicorn_protocol import HEADER_BYTES
 
 _SMALL_BYTES = 64 << 10
-_PIECE_S = 30.0  # without a byte of a body that is under way
+_PIECE_S = 30.0  # time without a byte of a body that is under way
 _TAKEN_S = 300.0  # for a piece of at most a megabyte: enough for a line of 4 kB/s
 _FORWARDED = frozenset({b"forwarded", b"via", b"x-real-ip"})
 _NETWORK_BITS = 64  # of IPv6: the network of one household, or of one attacker
@@ -53,7 +53,7 @@ def address_of(scope: Scope, *, behind_proxy: bool) -> str:
 
 
 def is_this_computer(address: str) -> bool:
-    """Return whether an answer of `address_of` stands for this computer."""
+    """Return whether a name returned by `address_of` means this computer."""
     return address == _HERE
 
 
@@ -98,9 +98,8 @@ def read_headers(scope: Scope, names: frozenset[str]) -> Headers:
 
 
 def refuse_foreign_page(scope: Scope, headers: Headers, *, behind_proxy: bool) -> None:
-    """Refuse a page of another site, which can make a browser send us things; the browser says so.
-
-    We speak HTTP; a page can have come by HTTPS only where there is a proxy.
+    """Refuse a page of another site, which can make a browser send us things; the browser's headers show it. We serve
+    plain HTTP; a page can have come by HTTPS only through a proxy.
     """
     origin, host = (headers.get(name, b"").lower() for name in (b"origin", b"host"))
     schemes = (b"http", b"https") if behind_proxy or not is_here(scope, headers) else (b"http",)

@@ -30,7 +30,9 @@ _TRIES = 2  # a dead child does not prove that the picture is bad
 
 
 class PictureChecker:
-    """`check` may be called from any thread (it blocks: use a thread pool); checks are done one after the other."""
+    """Checks pictures in a child process, one after the other. `check` may be called from any thread; it blocks: use a
+    thread pool.
+    """
 
     def __init__(self, *, time_limit_s: float = 10.0) -> None:
         self._time_limit_s = time_limit_s
@@ -64,7 +66,7 @@ class PictureChecker:
 
     @property
     def child_pid(self) -> int | None:
-        """Of the process, while there is one."""
+        """Id of the process, while there is one."""
         return self._child.child_pid
 
     def _ask(self, asked: dict[str, Any]) -> dict[str, Any]:
@@ -135,7 +137,7 @@ class Estimator(KeptChild):
     def prepare(self) -> None:
         """Compile the kernels of estimates if they are not compiled yet, so that the first person need not wait."""
         if not ready_mark(ESTIMATES).exists():
-            with suppress(Problem):  # as good as busy with it
+            with suppress(Problem):  # counts as busy with it
                 self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS}, is_long=True)
 
     def _problem(self, error: ChildError) -> Problem:

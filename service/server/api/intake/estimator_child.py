@@ -1,7 +1,7 @@
 """The process that estimates jobs.
 
 Request: {"path", "name", "max_pixels", "spec", "figures", "exactly", "plans"}. Result: the estimate. Request
-{"prepare": true, "max_pixels"}: an estimate that no one reads, which compiles what is not compiled yet; the mark of
+{"prepare": true, "max_pixels"}: an estimate that no one reads, which compiles the missing kernels; the mark of
 `kernel_cache` records permanently that it was made.
 """
 

@@ -54,7 +54,7 @@ _EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*(utf-8|iso-8859-1)'[^';]*'([
 
 @dataclass(slots=True, kw_only=True)
 class JobForm:
-    """The contents of a request. `path` is the picture; texts has the small parts, for a job `spec` and `priority`."""
+    """The contents of a request. path: of the picture; texts: the small parts, for a job `spec` and `priority`."""
 
     path: Path
     image_name: str = ""
@@ -318,8 +318,8 @@ class Space:
 
 
 class RequestBody:
-    """The body of a request, piece by piece, within time limits; read once. What a refused client still sends is read a
-    little further.
+    """The body of a request, piece by piece, within time limits; read once. After a refusal it reads a little of what
+    the client still sends.
     """
 
     def __init__(self, request: Request, *, wait_s: float = _CHUNK_WAIT_S) -> None:

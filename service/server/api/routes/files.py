@@ -59,7 +59,7 @@ IfNoneMatch = Annotated[str | None, Header(description="the ETag of the file tha
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """The request's headers of these names."""
+    """The headers of a request that concern downloads."""
 
     range: Ranged = None
     if_range: IfRange = None
@@ -72,8 +72,8 @@ Asked = Annotated[Conditions, Depends()]
 async def download(
     store: Store, file: Artifact, conditions: Conditions, *, with_body: bool, elsewhere: bool = True
 ) -> Response:
-    """Send the file; MissingObjectError where the store lost it. `elsewhere`: the caller may be sent to the store
-    itself.
+    """Send the file; MissingObjectError if the store has lost it. `elsewhere`: the caller may be redirected to the
+    store itself.
 
     A bucket knows the file by its hash only: pages, and the pictures in them, always come from here.
     """
@@ -112,7 +112,7 @@ async def iterate_in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
     finally:
         await asyncio.wait({ahead})
         with contextlib.suppress(asyncio.CancelledError, Exception):
-            ahead.result()  # else the loop complains of an error nobody looked at
+            ahead.result()  # otherwise the loop logs an error that nobody retrieved
         if close := getattr(pieces, "close", None):
             close()
 
@@ -131,8 +131,8 @@ def _headers(file: Artifact, kind: str, tag: str) -> dict[str, str]:
 def parse_range(range_header: str | None, if_range: str | None, *, size: int, etag: str) -> tuple[int, int] | None:
     """Start and end (exclusive); None for the whole file. Problem 416 where there is no such part.
 
-    What is no range, or asks for several, is answered with the whole file, as the RFC allows. An If-Range that is not
-    this very ETag means that the client's beginning belongs to another version.
+    An invalid range, or several ranges, are answered with the whole file, as the RFC allows. An If-Range that is not
+    this ETag means that the client's beginning belongs to another version.
     """
     if range_header is None or (if_range is not None and if_range.strip() != etag):
         return None
@@ -153,7 +153,7 @@ def parse_range(range_header: str | None, if_range: str | None, *, size: int, et
 
 
 def byte_answers(what: str, kinds: Iterable[str]) -> Responses:
-    """Return what a download may answer, for the document; kinds: media types."""
+    """Return the possible answers of a download, for the document; kinds: media types."""
     content: dict[str, Any] = {kind: {"schema": {}} for kind in kinds}
     return {
         200: {"description": f"the {what}; ETag is its SHA-256", "content": content},
@@ -187,7 +187,7 @@ def _get_and_head(path: str, **options: Any) -> Any:
 
 @_get_and_head("/v1/jobs/{id:uuid}/artifacts", summary="List the files of a job")
 async def artifacts(request: Request, _: Reader, job_id: JobId) -> ArtifactList:
-    """Each file is there as soon as its stage is committed; programs once all of them have been checked."""
+    """The job's files. Each appears as soon as its stage is committed; programs once all of them have been checked."""
     files = await asyncio.to_thread(services_of(request).book.list_artifacts, str(job_id))
     return ArtifactList(artifacts=[make_artifact_view(file) for file in files])
 
@@ -223,13 +223,15 @@ async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: 
 
 
 async def send_artifact(request: Request, file: Artifact, asked: Conditions) -> Response:
-    """Send the file as it was asked for; a browser gets it from here, whatever store it is in."""
+    """Send the requested part of the file; a browser always gets it from here and not from the store."""
     store, with_body = services_of(request).store, request.method == "GET"
     return await download(store, file, asked, with_body=with_body, elsewhere=not _by_browser(request))
 
 
 def _by_browser(request: Request) -> bool:
-    """Return whether a browser asks: its scripts may not follow to another site, and it would save a hash as name."""
+    """Return whether a browser asks: its scripts may not follow to another site, and it would use the hash as file
+    name.
+    """
     return "sec-fetch-mode" in request.headers or "text/html" in request.headers.get("accept", "")
 
 
@@ -257,10 +259,8 @@ _ANSWERS: Responses = {
 async def archive(
     request: Request, _: Reader, job_id: JobId, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
-    """What the listing shows at this moment, as a zip, but for what only the operator page shows: .path, .bin, the
-    thumbnail.
-
-    A job that still runs has more later.
+    """The files of the present listing as a zip, without those that only the operator page uses: .path, .bin, the
+    thumbnail. A job that still runs will have more later.
     """
     services = services_of(request)
     listed = await asyncio.to_thread(services.book.list_artifacts, str(job_id))
@@ -277,13 +277,13 @@ async def archive(
     if request.method == "HEAD":
         return Response(headers=headers, media_type="application/zip")
     for file in files:
-        await asyncio.to_thread(services.store.head, file.sha256)  # refused now, not in the middle
+        await asyncio.to_thread(services.store.head, file.sha256)  # refuse now, not in the middle
     pieces = _write_zip(services.store, files)
     return StreamingResponse(iterate_in_threads(pieces), headers=headers, media_type="application/zip")
 
 
 class _Outlet:
-    """A file for zipfile that cannot seek: what is written waits here until it is taken."""
+    """A file for zipfile that cannot seek: written bytes wait here until they are taken."""
 
     def __init__(self) -> None:
         self._held: list[bytes] = []

@@ -70,7 +70,9 @@ async def look(
 
 @router.post("/v1/jobs/{id:uuid}:cancel", summary="Cancel a job", responses=refusals(409))
 async def cancel(request: Request, response: Response, principal: Writer, job_id: JobId) -> JobView:
-    """A waiting job ends at once, a running one when its worker has stopped it, within two seconds. Twice is fine."""
+    """A waiting job ends at once, a running one when its worker has stopped it, within two seconds. Calling it twice is
+    fine.
+    """
     services = services_of(request)
 
     def change() -> JobView:

@@ -1,5 +1,5 @@
-"""Mills: which there are, what they do, a program handed to one of them, where it waits for a person; and control of a
-mill beside its runs: who has it, and what they order. Anybody may stop a mill.
+"""Mills: list them, watch them, hand a program to one, where it waits for a person; and control of a mill outside its
+runs: who has it, and what they order. Anybody may stop a mill.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ async def park(
         Header(alias="Idempotency-Key", description="the same key with the same request gives the same run"),
     ] = None,
 ) -> RunView:
-    """The program goes to the mill's agent, which reads it whole and holds it against the mill. Nothing moves.
+    """The program goes to the mill's agent, which reads all of it and checks it against the mill. Nothing moves.
 
     One run has a mill at a time: while another is open this is refused.
     """
@@ -121,7 +121,7 @@ _CONTROL = "/v1/machines/{machine}/control"
 _WITH_BODY = {
     "jog": (
         "Jog a mill",
-        "THE MILL MOVES by so much. Send it once, as every order; the events say what became of it.",
+        "THE MILL MOVES by that distance. Send it once, like every order; the events report its result.",
     ),
     "go-to-zero": (
         "Go to the work zero",
@@ -175,7 +175,9 @@ Endpoint = Callable[..., Awaitable[OrderView]]
 async def take(
     request: Request, response: Response, _: Operator, machine: MachineName, body: ControlBody, context: Order
 ) -> ControlView:
-    """One person at a time. It is kept by any order, or by asking again with the header, once a minute at least."""
+    """One person has control at a time. Any order keeps it, and so does asking again with the header, at least once a
+    minute.
+    """
     orders = services_of(request).fleet.orders
     control, new = await orders.take(machine, context, body.operator, take_over=body.take_over)
     response.status_code = 201 if new else 200

@@ -1,6 +1,6 @@
-"""For people who run the server: is it alive, can it work, and in figures how it does; who is calling, the code with
-which a page in a browser becomes a caller, and tokens, for administrators. Nobody gives away more than they have:
-`admin` alone makes no token that moves a mill.
+"""Routes for people who run the server: health, readiness and metrics; the caller's identity; pairing, which turns a
+browser page into a caller by a code; and tokens, for administrators. A caller can only grant scopes that the caller
+holds: `admin` alone cannot make a token that moves a mill.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ async def whoami(response: Response, principal: Known) -> WhoamiView:
 async def pair(request: Request, response: Response, body: PairingBody) -> PairingView:
     """A token for jobs and for running mills, valid for a day, in return for the code on the server's terminal.
 
-    Five wrong tries may come at once from an address, then one a minute; 429 says when to try again.
+    An address may make five wrong tries at once, then one a minute; 429 says when to try again.
     """
     response.headers["Cache-Control"] = "no-store"
     return await asyncio.to_thread(_pair, request, body)
@@ -188,7 +188,7 @@ async def list_tokens(request: Request, _: Admin) -> TokenList:
 
 @router.post("/v1/tokens", summary="Make a token", status_code=201, responses=refusals(507))
 async def create(request: Request, response: Response, principal: Admin, body: NewTokenBody) -> NewTokenView:
-    """Only this answer holds the token itself."""
+    """Make a token. Only this answer contains the token itself."""
     if beyond := sorted(set(body.scopes) - principal.scopes):
         words = Phrase(
             "your token lacks {scopes} itself; `causticmill token create` on the server gives it",
@@ -204,7 +204,7 @@ async def create(request: Request, response: Response, principal: Admin, body: N
 
 @router.delete("/v1/tokens/{id}", summary="Revoke a token")
 async def revoke(request: Request, _: Admin, token_id: TokenId) -> TokenView:
-    """It is refused from now on. It stays in the list."""
+    """Revoke a token: the server refuses it from now on. It stays in the list."""
     try:
         token = await asyncio.to_thread(services_of(request).tokens.revoke, token_id)
     except LookupError as error:

@@ -1,5 +1,5 @@
-"""GET /: what answers here, and where the rest is; and the operator page, its files under /page/. Open to everybody:
-the page holds no data, and / tells nothing that is not in every answer.
+"""GET /: name, version and addresses of this server; and the operator page, with its files under /page/. Open to
+everybody: the page contains no data, and / contains nothing that is not in every answer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from service.server.schemas.jobs import Root
 
 PREFIX = "/page/"
 
-# Everything comes from here: a text of a stranger that gets into the page can load and send nothing.
+# Everything comes from this server: a stranger's text that gets into the page can load and send nothing.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -60,7 +60,7 @@ _files = PageFiles(made=MADE)
 
 @router.api_route(PREFIX + "{path:path}", methods=["GET", "HEAD"], include_in_schema=False)
 def file(request: Request, path: str) -> Response:
-    """On a thread of its own kind: a disk may be slow."""
+    """In a thread of a separate pool, because a disk may be slow."""
     found = _files.file(path)
     if found is None:
         raise Problem(404, Phrase("the page has no file '{path}'", path=path[:100]), field="path")
@@ -68,7 +68,7 @@ def file(request: Request, path: str) -> Response:
 
 
 def _index(request: Request) -> Response:
-    """Return what a browser gets at /."""
+    """Return the page that a browser gets at /."""
     found = _files.file(INDEX)
     if found is None:
         raise Problem(404, Phrase("the page is not installed"), field="path")

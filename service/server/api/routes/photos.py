@@ -1,6 +1,5 @@
-"""What photographs tell: of a lens's light on the wall, and of a test piece, which is to be had here, too.
-
-Nothing is kept of a photograph.
+"""Findings from photographs of a lens's light on the wall, and of a test piece; and the files of the test piece.
+Photographs are not stored.
 """
 
 from __future__ import annotations
@@ -71,9 +70,9 @@ _ZIP_ANSWERS: Responses = {
     openapi_extra=_PHOTO_FORM,
 )
 async def post_look(request: Request, response: Response, principal: Writer, job_id: JobId) -> dict[str, Any]:
-    """What is off: distance, tilt, turn, sharpness and surface, each with its uncertainty. A photograph that shows
-    nothing of them is refused, with advice. If a caller asks again about the same job, the earlier request ends with
-    409.
+    """The deviations of the set-up: distance, tilt, turn, sharpness and surface, each with its uncertainty. A
+    photograph that shows none of them is refused, with advice. If a caller asks again about the same job, the earlier
+    request ends with 409.
     """
     services = services_of(request)
     with tempfile.TemporaryDirectory(prefix="causticmill-look-") as folder:
@@ -125,9 +124,9 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
     openapi_extra=_PHOTO_FORM,
 )
 async def measure(request: Request, response: Response, principal: Writer, profile: ProfileName) -> dict[str, Any]:
-    """What a photograph of the test piece's light says of the mill and the finish, and what that means for a job's
-    spec. A photograph that shows nothing of them is refused, with advice. If a caller asks again, the earlier request
-    ends with 409.
+    """Errors of the mill and figures of the finish, from a photograph of the test piece's light, with the values for a
+    job's spec. A photograph that shows none of them is refused, with advice. If a caller asks again, the earlier
+    request ends with 409.
     """
     services = services_of(request)
     await asyncio.to_thread(_require_profile, profile)
@@ -141,7 +140,7 @@ async def measure(request: Request, response: Response, principal: Writer, profi
 
 @asynccontextmanager
 async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
-    """Receive the request's photograph, as the process that looks takes it; its file is removed at the end."""
+    """Receive the request's photograph for the process that evaluates it; its file is removed at the end."""
     services = services_of(request)
     most = services.settings.max_pixels
     async with receive_form(request, services.settings, picture=_PART, small={}) as form:
@@ -164,7 +163,7 @@ def _require_profile(name: str) -> None:
 
 
 def _fetch(services: Services, job_id: str, folder: Path) -> None:
-    """Fetch the files of the job that a look needs. Problem 409 where there is no lens yet."""
+    """Fetch the files of the job that the evaluation needs. Problem 409 where there is no lens yet."""
     job = services.book.get(job_id)
     files = {file.name: file for file in services.book.list_artifacts(job_id)}
     missing = [name for name in (job_files.HEIGHTFIELD, job_files.MAP) if name not in files]

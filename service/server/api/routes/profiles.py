@@ -60,7 +60,7 @@ async def profiles(request: Request, _: Reader) -> ProfileList:
 
 @router.put("/v1/profiles/{profile}", tags=["machines"], summary="State a mill of the shop")
 async def put_profile(request: Request, _: Operator, profile: OwnName, body: ProfileBody) -> ProfileList:
-    """New jobs can be made for it; jobs that are there keep their figures. Its link is stated in its file alone."""
+    """From now on new jobs can be made for it; existing jobs keep their figures. Only its file can state its link."""
     await asyncio.to_thread(save_profile, profile, body.model_dump(exclude_none=True))
     return await asyncio.to_thread(_read_profiles, services_of(request).settings)
 
@@ -124,8 +124,8 @@ def _read_profiles(settings: ServerSettings) -> ProfileList:
 def mills_by_profile(
     mills: Iterable[KnownMachine], profiles: Sequence[MachineProfile]
 ) -> dict[str, list[KnownMachine]]:
-    """List mills by profile. A mill's own has its name; one that has none among them is served by
-    the first that a job is made alike with.
+    """List mills by profile. A mill uses the profile of its name; if there is none, the first profile that makes the
+    same programs.
     """
     found: dict[str, list[KnownMachine]] = {}
     names = {profile.name for profile in profiles}
@@ -138,15 +138,15 @@ def mills_by_profile(
 
 
 def _are_made_alike(one: MachineProfile, other: MachineProfile) -> bool:
-    """Return whether programs for one are programs for the other: all but name, link and homing."""
+    """Return whether programs for one fit the other: all figures agree except name, link and homing."""
     ours, theirs = asdict(one), asdict(other)
     return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})
 
 
 class ToolView(Body):
-    """An end mill; lengths in mm. Balls finish, what is flat roughs.
+    """An end mill; lengths in mm. Balls finish, flat ends only rough.
 
-    Of two that do equally well a plan takes that of the lower cost_class.
+    Of two that do equally well a plan takes the one with the lower cost_class.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]*$", examples=["ball-r1"])]
@@ -174,13 +174,13 @@ class ToolList(ToolsBody):
 
 @router.get("/v1/tools", tags=["machines"], summary="List the end mills that plans choose among")
 async def get_tools(_: Reader) -> ToolList:
-    """Those of the file tools.toml in the configuration of the server's account; without that file, the usual ones."""
+    """The end mills in tools.toml, in the configuration of the server's account; without that file, the usual ones."""
     return await asyncio.to_thread(_read_tools)
 
 
 @router.put("/v1/tools", tags=["machines"], summary="State the end mills that the shop has")
 async def put_tools(_: Writer, body: ToolsBody) -> ToolList:
-    """From now on new jobs are planned with these alone; jobs that are there keep what they were planned with."""
+    """From now on new jobs are planned with these alone; existing jobs keep their plans."""
     await asyncio.to_thread(save_tools, [tool.model_dump(exclude_none=True) for tool in body.tools])
     return await asyncio.to_thread(_read_tools)
 

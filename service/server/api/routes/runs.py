@@ -50,7 +50,7 @@ async def list_runs(
 
 @router.get("/v1/runs/{id:uuid}", summary="Look at a run")
 async def look(request: Request, response: Response, _: Reader, run_id: RunId) -> RunView:
-    """As its agent has it now; with `unreachable`: as it was last known."""
+    """The run as its agent has it now; with `unreachable`, as it was last known."""
     response.headers["Cache-Control"] = "no-cache"
     return await services_of(request).fleet.get_run(str(run_id))
 
@@ -130,7 +130,7 @@ async def resume(request: Request, _: Operator, run_id: RunId, context: Order) -
 
 @router.post("/v1/runs/{id:uuid}:abort", summary="Abort a run", **_STOP)
 async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> RunView:
-    """Hold, and clear what the controller has left. One that has not begun is taken back; the mill is free again."""
+    """Hold, and clear the controller's buffers. A run that has not begun is taken back; the mill is free again."""
     return await services_of(request).fleet.stop_run(str(run_id), Stop.ABORT, context)
 
 

@@ -1,5 +1,5 @@
-"""POST /v1/jobs: a picture and a spec become a durable job, or nothing at all. POST /v1/estimates: what a job would
-come to, while a person still edits its form; nothing is kept of it.
+"""POST /v1/jobs: a picture and a spec become a durable job, or nothing at all. POST /v1/estimates: relief, hours and
+blur of a job whose form a person still edits; nothing is stored.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ async def submit(
 
 
 def _accept(services: Services, form: JobForm, wanted: JobRequest, caller: str, key: ClientKey | None) -> JobView:
-    """Check, store, write down, hand to the engine: in this order, so that no answer tells of a job that is not."""
+    """Check, store, record, hand to the engine: in this order, so that no answer names a job that does not exist."""
     services.pictures.check(form.path, form.image_name, services.settings.max_pixels)
     stored = services.store.put_file(form.path)
     if stored.sha256 != form.image_sha256:
@@ -121,8 +121,8 @@ def _accept(services: Services, form: JobForm, wanted: JobRequest, caller: str, 
 
 
 def hand_to_engine(services: Services, job: Job) -> None:
-    """Hand the job to the engine; what it does not get now it gets from workers, who look for queued jobs unknown to
-    it.
+    """Hand the job to the engine. If that fails, workers hand it over later: they look for queued jobs that the engine
+    does not know.
     """
     try:
         services.engine.submit(Ticket(job.id, job.attempt), priority=job.priority)
@@ -175,7 +175,7 @@ async def post_estimate(
         asking = estimates.ask(caller, asked, is_long=exactly)
         answer = asyncio.wrap_future(asking)
         while not (await asyncio.wait({answer}, timeout=_LOOK_S))[0]:
-            # Once this one has ended, the caller's asks are newer ones.
+            # After the end of this request, the caller's next ones are newer.
             if await request.is_disconnected() and not asking.done():
                 estimates.leave(caller)
         found = await answer

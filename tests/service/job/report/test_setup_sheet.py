@@ -266,6 +266,15 @@ def test_a_program_that_goes_below_the_lens_says_where_and_why():
     assert "The programs go deeper" not in sheet_of(3.0, deepest_z_mm=-relief)
 
 
+def test_the_owner_of_an_osp_is_asked_to_try_what_we_only_guess():
+    def text(dialect):
+        machine = {"dialect": dialect, "top_z_mm": 455.0}
+        return Page(render_report(REPORT, spec=SPEC | {"machine": machine})).text
+
+    assert "We only guess that G16 H0 goes to machine Z455 while a tool length" in text("okuma")
+    assert "G16" not in text("fanuc")
+
+
 def rows_of(*passes) -> dict[str, list[str]]:
     return {what: cells for what, _, cells in check_rows(passes)}
 

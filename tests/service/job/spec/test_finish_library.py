@@ -120,8 +120,8 @@ def test_the_own_file_is_found_in_the_configuration_folder(tmp_path: Path, monke
     [
         (GOOD + "colour = 1\n", ["buffing", "colour = 1", "order"]),
         (GOOD.replace("order = 1", "order = 0"), ["order = 0", "0.5 to 8"]),
-        (GOOD.replace("k0_rad_per_mm = 5", "k0_rad_per_mm = 0"), ["k0_rad_per_mm = 0", "0.05 rad/mm"]),
-        (GOOD.replace("k0_rad_per_mm = 5", "k0_rad_per_mm = nan"), ["k0_rad_per_mm = nan", "0.05 rad/mm"]),
+        (GOOD.replace("k0_rad_per_mm = 5", "k0_rad_per_mm = 0"), ["k0_rad_per_mm = 0", "0.3 rad/mm"]),
+        (GOOD.replace("k0_rad_per_mm = 5", "k0_rad_per_mm = nan"), ["k0_rad_per_mm = nan", "0.3 rad/mm"]),
         (GOOD.replace("default_minutes = 20", "default_minutes = 0"), ["default_minutes = 0", "more than 0"]),
         (GOOD.replace("default_minutes = 20\n", ""), ["default_minutes", "missing"]),
         (GOOD + "minutes_range = [30, 40]\n", ["default_minutes = 20", "30 to 40"]),

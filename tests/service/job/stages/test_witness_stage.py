@@ -167,6 +167,21 @@ def test_the_usual_margin_has_room_beside_the_usual_ball(preset: str) -> None:
     assert found.side == "front" and len(found.strip.marks) == 5
 
 
+def test_one_tool_sticks_out_as_far_as_the_program_that_needs_most(job: StagedJob) -> None:
+    """The ball stays in: what one of its programs needs, all have."""
+    stick_out_mm = job.report["envelope"]["stick_out_mm"]
+    *of_ball, of_end_mill = stick_out_mm.values()
+    assert len(of_ball) == 3 and set(of_ball) == {max(of_ball)} != {of_end_mill}
+
+
+def test_the_holder_stays_clear_of_clamps_beside_the_strip() -> None:
+    """As far out as the job says: the nut of 11 mm radius would meet a clamp of 25 mm that the ball goes past."""
+    high = "stock.clamps=[{x_mm=40,y_mm=-24,width_mm=20,depth_mm=8,height_mm=25}]"
+    values = ("passes.0.radius_mm=3", "stock.margin_mm=24", "machine.safe_z_mm=30", high)
+    free, stated = planned(*values), planned(*values, "passes.0.stick_out_mm=20", "passes.1.stick_out_mm=20")
+    assert 40 - free.cut.places_mm[-1] < 11 < 40 - stated.cut.places_mm[-1]
+
+
 clamps = st.builds(
     lambda x, y, w, d: f"{{x_mm={x},y_mm={y},width_mm={w},depth_mm={d},height_mm=5}}",
     st.sampled_from([-25, -20, -14, 110, 120]) | st.integers(-25, 120), st.integers(-25, 100), st.integers(1, 8),
@@ -198,7 +213,7 @@ def test_the_strip_stays_in_the_block_beside_everything_else(boxes: list[str], m
         axes_x, axes_y = (places, np.array(cut.across_mm)) if cut.along == "x" else (np.array(cut.across_mm), places)
         apart_x = max(x - axes_x.max(), axes_x.min() - x - wide)
         apart_y = max(y - axes_y.max(), axes_y.min() - y - deep)
-        assert max(apart_x, apart_y) >= cut.radius_mm + 1.0
+        assert np.hypot(max(apart_x, 0), max(apart_y, 0)) >= cut.radius_mm + 1.0
 
 
 def test_a_clamp_in_the_middle_moves_the_strip_and_clamps_all_along_send_it_to_another_side() -> None:

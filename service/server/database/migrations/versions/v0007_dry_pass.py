@@ -1,4 +1,4 @@
-"""A run may be a dry pass: its program so much higher, with the spindle off."""
+"""A run may be a dry pass: its program at a raised height, with the spindle off."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -8,5 +8,5 @@ down_revision = "0006"
 
 
 def upgrade() -> None:
-    """Add the lift; None: the program as it is, as all runs so far."""
+    """Add the lift; None: the program unchanged, like all runs so far."""
     op.add_column("runs", sa.Column("lift_mm", sa.Float))
