@@ -109,7 +109,7 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
         assert "may not fit the travel" in words
         assert "may not" not in due(ALL_SET | UP, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
         dry = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True, "lift_mm": 20}, ticked=ticked)
-        assert "load it less high, or start the dry pass" in dry[2], "what its button does is said beside it"
+        assert "load it lower, or start the dry pass" in dry[2], "what its button does is said beside it"
     running = RUN | {"state": "running"}
     assert due(ALL_SET | {"state": "run"}, run=running)[2] == "The program runs."
     assert due(ALL_SET | {"state": "run"}, run=running | {"lift_mm": 20})[2] == "The dry pass runs: nothing is cut."
