@@ -37,8 +37,9 @@ def envelope_png(envelope: Envelope, reach: Reach, *, file: str, machine: str, b
     panels[0].set_ylabel("over the table, mm", fontsize=8, color=_INK)
     top_mm = max(zero_mm + envelope.safe_z_mm + stick_out_mm + 25.0, 1.05 * (envelope.bed_to_collet_mm or 0.0))
     panels[0].set_ylim(-8.0, top_mm)
+    lies = f"lies {base_mm:.4g} mm above the table" if base_mm else "lies on the table"
     figure.suptitle(
-        f"{file} on {machine}: it sticks out {stick_out_mm:.1f} mm, the block lies {base_mm:.4g} mm over the table",
+        f"{file} on {machine}: the tool sticks out {stick_out_mm:.1f} mm; the block {lies}",
         fontsize=10,
         color=_INK,
     )
@@ -57,8 +58,9 @@ def _draw_table(axes: Axes, envelope: Envelope, base_mm: float) -> None:
         _box(axes, clamp.x_mm, 0.0, clamp.width_mm, zero_mm + clamp.height_mm, _CLAMP, alpha=0.55)
     _box(axes, -margin_mm, base_mm, width_mm, envelope.thickness_mm + envelope.top_mm, _BLOCK)
     axes.text(
-        width_mm / 2 - margin_mm, base_mm + envelope.thickness_mm / 2, "block", fontsize=8, ha="center", color=_INK
-    )
+        width_mm / 2 - margin_mm, base_mm + envelope.thickness_mm / 2, "block", fontsize=8, ha="center", va="center",
+        color=_INK, bbox={"facecolor": _BLOCK, "edgecolor": "none", "pad": 1.5},
+    )  # fmt: skip
     heights: list[tuple[float, str, str]] = []
     if (top_mm := envelope.bed_to_collet_mm) is not None:
         heights += [(top_mm, "collet, highest", _INK), (top_mm - envelope.travel_z_mm, "collet, lowest", _INK)]
