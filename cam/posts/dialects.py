@@ -83,6 +83,7 @@ OKUMA = Post(
     offset_name="G15 H{offset_number}",
     zero="zero: G15 H{offset_number}, with tool length G56 as it was when it was set",
     top="G16H0G0Z{top}",
+    guesses_top=True,
     spin=("S{rpm}M3", "G4F{dwell_s}"),
     change=("T{tool}M6",),
     length="G56H{tool}",

@@ -46,6 +46,7 @@ class Post:
     zero           : a remark that states from what this control measures the work zero
     lift           : the block that brings the tool to {safe_z} over the work zero, after the start and before the end
     top            : the same to {top}, a height in machine coordinates, from wherever the tool stands
+    guesses_top    : whether it is a guess that `top` leaves the tool's length out
     spin           : blocks after the start that bring the spindle up to speed; faster: the same for every further speed
                      of a warm-up, where the start has switched it on already
     blend          : blocks for corners rounded within {tolerance}, and for an exact stop; {blend} of the start is one;
@@ -71,6 +72,7 @@ class Post:
     zero: str = ""
     lift: str = "G0Z{safe_z}"
     top: str = "G53G0Z{top}"
+    guesses_top: bool = False
     tape: tuple[str, ...] = ()
     spin: tuple[str, ...] = ()
     faster: tuple[str, ...] = ()

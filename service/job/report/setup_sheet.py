@@ -19,6 +19,8 @@ from jinja2 import Environment, PackageLoader, Template
 from markupsafe import Markup
 
 from cam.materials import MATERIALS
+from cam.posts.dialects import POSTS
+from cam.posts.post import Post
 from phrases.phrase import Phrase, restore, say
 from service.job.files import WITNESS, list_programs, table
 from service.job.report.block import BlockSizes, plan_holding, side_view, top_view
@@ -337,7 +339,8 @@ def _tool_changes(passes: Sequence[Mapping[str, Any]], *, has_lengths: bool) -> 
 
 def _describe_top(machine: Mapping[str, Any]) -> Phrase | str:
     """Say what nobody has tried of the way to the head's top, and how the owner finds out."""
-    if machine.get("dialect") != "okuma" or machine.get("top_z_mm") is None:
+    post = POSTS.get(str(machine.get("dialect")))
+    if not isinstance(post, Post) or not post.guesses_top or machine.get("top_z_mm") is None:
         return ""
     return Phrase(
         "We only guess that G16 H0 goes to machine Z{top_z_mm:g} while a tool length (G56) is in force: before the "
