@@ -278,7 +278,7 @@ def test_how_fine_is_chosen_beside_the_size_and_only_a_plan_can_keep_a_time(new_
     time = main.get_by_label("Time at most")
     time.fill("3")
     assert pressed(new_job, sent)[0]["plan"] == {"hours": 3}
-    main.get_by_label("coarse, to see whether it works; no work by hand").check()
+    main.get_by_label("fixed passes to try the mill; no work by hand").check()
     expect(time).to_be_disabled()
     expect(time).to_have_attribute("title", re.compile("Recommended"))
     spec = pressed(new_job, sent)[0]

@@ -36,7 +36,7 @@ MOST_PASSES = 20
 MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
 
 _PRESETS = {
-    "draft": ("Draft", "coarse, to see whether it works; no work by hand"),
+    "draft": ("Draft", "fixed passes to try the mill; no work by hand"),
     "recommended": ("Recommended", "planned for this picture and mill"),
     "paper": ("As in the paper", "its three passes: very fine, slow"),
 }

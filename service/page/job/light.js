@@ -18,6 +18,7 @@ const SURFACES = [
 const SHARPENED = t("Drawn sharper than the picture, for the tool to blur: without the tool's marks it looks broken.");
 const PIXELS = [512, 1024];
 const MANY_BEAMS = 32; // from which their blur hides a coarser net
+const FEW_BEAMS = 12; // with fewer, the first picture of a surface with marks is sharp, which the wall never is
 const FIRST_CELLS = 2 ** 16, MOST_CELLS = 2 ** 25; // drawn in a frame
 const QUICK_MS = 24, SLOW_MS = 50;
 const RAD = Math.PI / 180;
@@ -116,7 +117,7 @@ export function lightPart() {
     last = time;
     if (moved) {
       const stride = [1, 2].find((each) => (all / each ** 2) * whole <= cells) ?? 4;
-      const beams = beamsOf(lens, setting, Math.max(1, Math.floor((cells * stride ** 2) / all)));
+      const beams = beamsOf(lens, setting, Math.max(lens.slopes ? FEW_BEAMS : 1, Math.floor((cells * stride ** 2) / all)));
       picture.add(setting, beams, { whole: beams.length, first: true, stride });
       picture.turnOver();
       moved = false;

@@ -100,7 +100,7 @@ export function spindlePart(order) {
       Object.assign(rpm, { min: Math.max(1, slowest), max: fastest });
       const wanted = run?.setup?.tool?.spindle_rpm ?? Math.max(1, slowest);
       if (!rpm.dataset.said && rpm.value !== String(wanted)) rpm.value = wanted;
-      write(about, t`This mill turns at ${thousands(slowest)} to ${thousands(fastest)} rpm. The spindle goes off with HOLD and STOP, and when you give back or lose control. While it is on, no program starts and nothing is probed.`);
+      write(about, t`This mill turns at ${thousands(slowest)} to ${thousands(fastest)} rpm. Switched on here, the spindle goes off with HOLD and STOP, and when you give back or lose control. While it is on, no program starts and nothing is probed.`);
       enable([on.button], able && rpm.checkValidity());
       enable([off], able);
       if (machine?.mill?.spindle_on && able) node.open = true;
