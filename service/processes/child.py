@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import IO, Any
 
 from phrases.phrase import restore
 from service.errors import FailedError, InputError, PictureError, SpecError, printable
@@ -195,13 +195,20 @@ class Child:
         self._signal(signal.SIGKILL)
 
     def end(self, number: int = signal.SIGKILL) -> None:
-        """End it and everything that it has started with this signal; return when it has ended."""
+        """End it and everything that it has started with this signal; return when it has ended.
+
+        Its input ends as well: a compiler's callback may swallow the exception that a signal raises.
+        """
         self._signal(number)
+        self._close(self._process.stdin)
         self._wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
+        self._close(self._process.stdout)
+
+    @staticmethod
+    def _close(pipe: IO[bytes] | None) -> None:
+        if pipe is not None:
+            with contextlib.suppress(OSError):
+                pipe.close()
 
     def _signal(self, number: int) -> None:
         # macOS permits no signal to a dead process that was not waited for

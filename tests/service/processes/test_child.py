@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from service.processes.child import Child, ChildCrashed, ChildDied, ChildLate
 from service.processes.child_work import WordPipe
 from service.processes.kept_child import KeptChild
 from tests.service.server.worker.stage_bench import lives
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 ODD = "tests.service.processes.odd_child"
 ROOT = Path(__file__).parents[3]
@@ -52,6 +53,16 @@ def test_results_shares_and_phrases_arrive_one_request_after_the_other(child: Ch
         assert found == {"said": ["ü", 1.5], "phrase": "a lens"}
         assert phrases_in(found) == {"a lens": {"template": "a {what}", "values": {"what": "lens"}}}
     assert set(shares) == {0.5}
+
+
+def test_one_that_swallows_its_signal_ends_with_its_input(child: Child) -> None:
+    ask(child, "swallow SIGTERM")
+    with ThreadPoolExecutor() as pool:
+        ended = pool.submit(child.end, signal.SIGTERM)
+        try:
+            ended.result(PATIENCE_S)
+        finally:
+            child.kill()
 
 
 @pytest.mark.parametrize(
