@@ -32,7 +32,7 @@ def test_nothing_is_said_of_a_few_moments(seconds: tuple[float, float, float]) -
 
 def test_thin_chips_are_named_with_their_place_and_the_speed_that_helps() -> None:
     (words,) = map(str, _of_chips(SPEC, verdict(40.0, 60.0, 0.0)))
-    for part in ("too thin for 40 %", "12.5 µm", "2 flutes at 8000 rpm", "line 77 at X1.00 Y2.00", "takes 4000 rpm"):
+    for part in ("too thin for 40 %", "12.5 µm", "2 flutes at 8000 rpm", "line 77 at X1.00 Y2.00", "use 4000 rpm"):
         assert part in words
     assert "F200 is too low" in words and "a higher feed" in words
 
