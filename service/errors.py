@@ -61,6 +61,10 @@ class FailedError(ServiceError):
     """The job itself failed: a check, the disk, a method that found no lens."""
 
 
+class DiskError(FailedError):
+    """The disk did not take a file of the job."""
+
+
 def printable(text: str) -> str:
     """Return the text on one line, control characters replaced by '?': names and values may come from anywhere."""
     if text.isprintable():

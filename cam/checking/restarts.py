@@ -119,7 +119,7 @@ def choose_points(
 def _divide_longest_gap(
     timed: Sequence[tuple[RestartPoint, float]], chosen_s: Sequence[float], whole_s: float
 ) -> tuple[RestartPoint, float] | None:
-    """Return the point nearest to the middle of the longest gap that has a point in it; None if there is none."""
+    """Look for the longest gap that has a point in it, and return the one nearest to its middle; None without any."""
     ends_s = sorted([0.0, *chosen_s, whole_s])
     for low_s, high_s in sorted(pairwise(ends_s), key=lambda gap: gap[0] - gap[1]):
         within = [one for one in timed if low_s + LEAST_GAP_S <= one[1] <= high_s - LEAST_GAP_S]

@@ -138,7 +138,7 @@ def _coarse_job(form: LensForm, first: PassSpec) -> tuple[Heightfield, Stock]:
 
 
 def _spacing_mm(form: LensForm, first: PassSpec) -> float:
-    """Return the distance of samples along the rows of all planes at which there are no more than the limit."""
+    """Return how far apart the samples along the rows of all planes lie, so that they are not more than the limit."""
     rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(first) * form.deepest_mm / first.step_down_mm
     return rows_mm / _MOST_SAMPLES
 

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from phrases.phrase import Phrase
-from service.errors import FailedError, InputError, sentence_of_os_error
+from service.errors import DiskError, InputError, sentence_of_os_error
 from service.job.report.pictures import PICTURES, list_pictures
 from service.processes.files import open_whole
 
@@ -201,14 +201,14 @@ def make_header_line(facts: Mapping[str, Any]) -> bytes:
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes its name when the block ends well, and is removed when it does not.
 
-    Raises FailedError, one line, if the disk refuses.
+    Raises DiskError, one line, if the disk refuses.
     """
     try:
         with open_whole(path) as file:
             yield file
     except OSError as error:
         error.filename = None  # the hidden name means nothing to the person
-        raise FailedError(sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))) from error
+        raise DiskError(sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))) from error
 
 
 def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from phrases.phrase import Phrase
-from service.errors import ServiceError, printable
+from service.errors import DiskError, ServiceError, printable
 from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
 from service.job.errors import LensKeptError, translate_errors
@@ -105,9 +105,10 @@ def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, f
         for stage in folder_job.so_far.stages():
             try:
                 folder_job.run(stage)
+            except DiskError:
+                raise
             except ServiceError as error:
-                of_the_disk = isinstance(error.__cause__, OSError)
-                if not (is_new and is_of_programs(stage)) or of_the_disk:
+                if not (is_new and is_of_programs(stage)):
                     raise
                 kept = LensKeptError(error, stage, output)
                 folder_job.keep_lens(lens, kept)

@@ -14,10 +14,12 @@ from typing import Literal
 import numpy as np
 
 from cam.around.specs import WitnessCut
+from cam.checking.envelope import Envelope
 from optics.finish import Finish
 from optics.witness import Mill, NoMarksError, Strip, choose_strip
 from service.job.spec.envelope import envelope_of, reach_of_witness
 from service.job.spec.lens_task import finish_of
+from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob, digits_of
 
 Side = Literal["front", "back", "left", "right"]
@@ -44,12 +46,13 @@ def plan_witness(job: ResolvedJob) -> WitnessPlan:
     ball, depth_mm = spec.passes[-1], finish.depth_mm
     step_mm = digits_of(job.machine).coarsen(job.machine.step_mm).z_mm
     mill = Mill(radius_mm=ball.radius_mm, step_mm=step_mm, noise_mm=job.machine.z_noise_mm)
+    envelope = envelope_of(spec, job.machine)
     for side in _SIDES:
         if room := _Room.of(job, side, finish, depth_mm):
             strip = choose_strip(finish, depth_mm, mill, room_mm=room.along_mm[1] - room.along_mm[0])
             for begin_mm in room.begins_mm(strip.length_mm):
                 cut = _cut_of(job, side, strip, begin_mm, room, step_mm)
-                if _is_clear(job, cut):
+                if _is_clear(spec, envelope, cut):
                     return WitnessPlan(strip=strip, side=side, cut=cut)
     raise NoMarksError("room")
 
@@ -115,8 +118,8 @@ def _cut_of(job: ResolvedJob, side: Side, strip: Strip, begin_mm: float, room: _
     )
 
 
-def _is_clear(job: ResolvedJob, cut: WitnessCut) -> bool:
+def _is_clear(spec: JobSpec, envelope: Envelope, cut: WitnessCut) -> bool:
     """Return whether neither the cutter nor what holds it, as far as the job states it, comes too near to a clamp."""
-    envelope, reach = envelope_of(job.spec, job.machine), reach_of_witness(job.spec, cut.box_mm, cut.lowest_mm)
+    reach = reach_of_witness(spec, cut.box_mm, cut.lowest_mm)
     is_long = reach.stick_out_mm is None or reach.stick_out_mm >= envelope.least_stick_out_mm(reach)
     return is_long and not any(envelope.find_struck(reach))

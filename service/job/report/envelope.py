@@ -4,7 +4,7 @@ the block has to lie.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any
 
@@ -13,30 +13,25 @@ from machines.profile import MachineProfile
 from service.job.files import CUT_OUT, FACE, WITNESS, table
 from service.job.spec.envelope import envelope_of, list_reaches, reach_of_witness, require_envelope
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import tool_key
+from service.job.spec.resolve import Cutter, tool_key
 
 
-def reaches_of(spec: JobSpec, report: Mapping[str, Any]) -> dict[str, Reach]:
-    """Return where each program took its tool, by its file, in the order in which they are run."""
-    around, passes = table(report.get("around")), report.get("passes", ())
+def _list_programs(spec: JobSpec, report: Mapping[str, Any]) -> Iterator[tuple[str, Cutter, Reach]]:
+    """Yield each program in the order in which they are run: its file, its tool, and where it takes it."""
+    around, passes, stock = table(report.get("around")), report.get("passes", ()), spec.stock
     lows = [float(table(row.get("bounds"))["z"][0]) for row in passes]
     by_key = list_reaches(spec, depth_mm=0.0, lowest_mm=lows)
-    found = {around[FACE]["file"]: by_key["stock.face"]} if FACE in around else {}
-    found |= {row["file"]: by_key[f"passes.{number}"] for number, row in enumerate(passes)}
+    if stock.face is not None and FACE in around:
+        yield around[FACE]["file"], stock.face, by_key["stock.face"]
+    for number, row in enumerate(passes):
+        yield row["file"], spec.passes[number], by_key[f"passes.{number}"]
     if WITNESS in around:
         row = around[WITNESS]
         left, right, front, back = map(float, report["witness"]["box_mm"])
-        found[row["file"]] = reach_of_witness(spec, (left, right, front, back), float(row["bounds"]["z"][0]))
-    if CUT_OUT in around:
-        found[around[CUT_OUT]["file"]] = by_key["stock.cut_out"]
-    return found
-
-
-def _list_tools(spec: JobSpec, around: Mapping[str, Any]) -> list[tuple[object, ...]]:
-    """Return the tool of each program, in the order of `reaches_of`."""
-    stock, made = spec.stock, (*spec.passes, *(spec.passes[-1:] if WITNESS in around else ()))
-    face, cut_out = stock.face if FACE in around else None, stock.cut_out if CUT_OUT in around else None
-    return [tool_key(row) for row in (face, *made, cut_out) if row is not None]
+        reach = reach_of_witness(spec, (left, right, front, back), float(row["bounds"]["z"][0]))
+        yield row["file"], spec.passes[-1], reach
+    if stock.cut_out is not None and CUT_OUT in around:
+        yield around[CUT_OUT]["file"], stock.cut_out, by_key["stock.cut_out"]
 
 
 def describe_envelope(
@@ -50,19 +45,20 @@ def describe_envelope(
     clamps_mm    : left, front, width and depth of each
     base_mm      : least and greatest height of the base under the block; None: no bound is known
     """
-    reaches, envelope = reaches_of(spec, report), envelope_of(spec, machine)
+    programs, envelope = list(_list_programs(spec, report)), envelope_of(spec, machine)
+    reaches = {file: reach for file, _, reach in programs}
     lows = [reaches[row["file"]].lowest_mm for row in report.get("passes", ())]
     marks = table(table(report.get("around")).get(WITNESS)).get("file")
     require_envelope(spec, machine, depth_mm=0.0, lowest_mm=lows, witness=reaches.get(str(marks)))
     least_mm, most_mm = envelope.base_range_mm(reaches.values())
-    tools = _list_tools(spec, table(report.get("around")))
-    longest_mm = dict.fromkeys(tools, 0.0)
-    for tool, reach in zip(tools, reaches.values(), strict=True):
-        longest_mm[tool] = max(longest_mm[tool], envelope.least_stick_out_mm(reach))
+    longest_mm: dict[tuple[object, ...], float] = {}
+    for _, tool, reach in programs:
+        key = tool_key(tool)
+        longest_mm[key] = max(longest_mm.get(key, 0.0), envelope.least_stick_out_mm(reach))
     figures = {
         "stick_out_mm": {
-            file: longest_mm[tool] if reach.stick_out_mm is None else reach.stick_out_mm
-            for tool, (file, reach) in zip(tools, reaches.items(), strict=True)
+            file: longest_mm[tool_key(tool)] if reach.stick_out_mm is None else reach.stick_out_mm
+            for file, tool, reach in programs
         },
         "stated": [file for file, reach in reaches.items() if reach.stick_out_mm is not None],
         "base_mm": [max(least_mm, 0.0), most_mm if isfinite(most_mm) else None],

@@ -45,7 +45,7 @@ from service.job.spec.tools import load_tools
 
 LoadProfile = Callable[[str], MachineProfile]
 _PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
-_Cutter = PassRow | FaceSpec | CutOutSpec
+Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")
 _ROUNDING = 0.01  # of step-downs and feeds
 _CHOSEN = {"pitch_mm", "flutes", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
@@ -180,7 +180,7 @@ def number_tools(spec: JobSpec) -> dict[tuple[object, ...], int]:
     return {key: number for number, key in enumerate(keys, 1)}
 
 
-def tool_key(row: PassRow | FaceSpec | CutOutSpec) -> tuple[object, ...]:
+def tool_key(row: Cutter) -> tuple[object, ...]:
     """Return the values that distinguish one tool of a job from another."""
     names = ("shape", "radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
     return "ball" if isinstance(row, PassRow) else "flat", *(getattr(row, name, None) for name in names)
@@ -419,7 +419,7 @@ def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[Phrase]:
             )
 
 
-def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, Any]:
+def _speeds(row: Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, Any]:
     """Return flutes, feeds, speed and step-down. The feed follows the flutes and the fastest speed, or the one given;
     then a speed that is not given follows the feed, so that chips are neither too thin nor too thick.
     """
@@ -441,7 +441,7 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
     }
 
 
-def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
+def _unheld(row: Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
     """Return a problem if the spindle cannot hold a pass's cutter; an unknown shank is as thick as the cutter."""
     shank_mm = 2 * (row.radius_mm if row.shank_radius_mm is None else row.shank_radius_mm)
     if machine.collet_mm is None or shank_mm <= machine.collet_mm:
@@ -465,7 +465,7 @@ def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str
     return [(f"{place}.radius_mm", words)]
 
 
-def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
+def _beyond_the_mill(row: Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
     limits = {
         "spindle_rpm": (*machine.spindle_rpm, "rpm"),
         "feed_mm_per_min": (0.0, min(machine.max_rate_mm_per_min[:2]), "mm/min"),

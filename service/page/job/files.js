@@ -21,6 +21,7 @@ const OFFERED = [
   ["spec.json", t("Settings (JSON)"), t("the job again from a terminal")],
 ];
 
+const asked = new WeakMap(); // job -> the answer for all parts that show it
 const TITLES = new Map(PICTURES.map(({ name, title }) => [name, t(title)]));
 
 /** {node, update(job)}: each program with what it does, and the mills it may go to. */
@@ -68,7 +69,12 @@ export async function knownMills() {
 }
 
 /** A job's programs that no mill has finished; all of them, where that is not known. */
-export async function unmilledOf(job) {
+export function unmilledOf(job) {
+  if (!asked.has(job)) asked.set(job, findUnmilled(job));
+  return asked.get(job);
+}
+
+async function findUnmilled(job) {
   if (!mayBeMilled(job)) return job.programs;
   const { runs } = await api.get(`/v1/runs?job=${job.id}`).catch(() => ({ runs: [] })), done = new Set(runs.filter(isCut).map(({ program }) => program.number));
   return job.programs.filter(({ number }) => !done.has(number));

@@ -17,7 +17,7 @@ export function overrides(link) {
   const words = refusalLine();
   const set = (what, percent) => words.run(() => link.order("override", { what, percent }));
   const rows = ROWS.map(([what, label, place, range]) => row(what, label, range, set, () => link.machine?.mill?.overrides?.[place] ?? 100));
-  const spindle = rows[1]; // which stays off in a dry pass
+  const spindle = rows[ROWS.findIndex(([what]) => what === "spindle")]; // which stays off in a dry pass
   const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, t("Overrides, %")), rows.map((one) => one.node), words.node);
   return {
     node,

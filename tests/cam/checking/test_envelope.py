@@ -80,7 +80,7 @@ def slope(x, y):
     return -0.3 + 0.02 * x + 0 * y
 
 
-def pitted(x, y):
+def slope_with_pit(x, y):
     """The slope with a pit that only a small ball fits into."""
     return slope(x, y) - 0.1 * np.exp(-((x - 6.0) ** 2 + (y - 2.0) ** 2) / (2 * 0.08))
 
@@ -97,7 +97,7 @@ def paths_of(kind: str, safe_z_mm: float, thickness_mm: float) -> tuple[Path, ..
         return tuple(make_cut_out_paths(spec, stock, loop, top_mm=0.0, safe_z_mm=safe_z_mm))
     lens, top = LENS, StockGrid.block(stock, 0.1)
     if spec.where == "rest":  # a larger ball has cut the slope, and the margin beside it
-        lens = make_lens(pitted, width_mm=WIDTH, height_mm=HEIGHT, per_mm=20)
+        lens = make_lens(slope_with_pit, width_mm=WIDTH, height_mm=HEIGHT, per_mm=20)
         top = replace(top, top_mm=np.minimum(slope(top.x_mm[None, :], top.y_mm[:, None]), 0.0))
     return tuple(pass_paths(lens, spec, stock, stock_top=top, safe_z_mm=safe_z_mm, slope_error_rad=0.03))
 

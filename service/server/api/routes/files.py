@@ -153,7 +153,7 @@ def parse_range(range_header: str | None, if_range: str | None, *, size: int, et
 
 
 def byte_answers(what: str, kinds: Iterable[str]) -> Responses:
-    """Return the possible answers of a download, for the document; kinds: media types."""
+    """Return the answers that a download may have, for the OpenAPI document; kinds: media types."""
     content: dict[str, Any] = {kind: {"schema": {}} for kind in kinds}
     return {
         200: {"description": f"the {what}; ETag is its SHA-256", "content": content},

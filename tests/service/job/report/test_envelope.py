@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cam.reading.gcode import LANGUAGES, read_parts
-from service.job.report.envelope import reaches_of
-from service.job.spec.envelope import envelope_of
+from service.job.report.envelope import describe_envelope
 from service.job.spec.loading import resolve_spec
 from service.job.spec.resolve import look_up
 from tests.service.job.stages.jobs import StagedJob, staged_job
@@ -42,7 +41,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
 @pytest.mark.thorough
 def test_no_program_takes_its_tool_beyond_what_the_rules_count_with(job: StagedJob) -> None:
     """But for the few micrometres that a cut-out keeps from the lens beside its radius."""
-    reaches, envelope = reaches_of(job.spec, job.report), envelope_of(job.spec, look_up(job.spec).machine)
+    _, envelope, reaches = describe_envelope(job.spec, look_up(job.spec).machine, job.report)
     assert list(reaches) == [f"pass-{number}-{name}.nc" for number, name in enumerate(PROGRAMS)]
     for file, reach in reaches.items():
         left, right, front, back = envelope.area_mm(reach)
